@@ -1,6 +1,5 @@
 """The messages between the labelling page and its server."""
 
-from datetime import UTC, datetime
 from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from pydantic import ConfigDict, Field
@@ -24,9 +23,8 @@ from semviz.annotator.track_edits import (
     RejectTracksEdit,
 )
 from semviz.web import protocol
-from semviz_annotation.labels.edits import Edit, WriteNote
+from semviz_annotation.labels.edits import Edit
 from semviz_annotation.labels.labels import Id, Index, Pixel
-from semviz_annotation.labels.rows import MAX_NOTE_LENGTH, Note
 from semviz_annotation.storage.label_file import HealthState
 from semviz_annotation.storage.operations import EditBase
 from semviz_core.base.frame import Side
@@ -88,32 +86,6 @@ class AcceptEdit(protocol.Part):
     marks: list[DrawnMark] = Field(min_length=1)
 
 
-class NoteEdit(protocol.Part):
-    """Write a note on an element, in the name of who is connected."""
-
-    kind: Literal["note"]
-    note_id: Id
-    element_id: Id
-    frame_index: Index | None = None
-    unsure: bool = False
-    text: str = Field(default="", max_length=MAX_NOTE_LENGTH)
-
-    def note(self, author: str) -> WriteNote:
-        """Return the edit of the labels, written now."""
-        time = datetime.now(UTC).isoformat(timespec="milliseconds")
-        return WriteNote(
-            Note(
-                self.note_id,
-                self.element_id,
-                self.frame_index,
-                self.unsure,
-                self.text,
-                author,
-                time,
-            )
-        )
-
-
 class UndoEdit(protocol.Part):
     """Undo the author's last edit."""
 
@@ -147,7 +119,7 @@ PageEdit: TypeAlias = Annotated[
     | RejectTracksEdit
     | AcceptSureTracksEdit
     | AlignLabelsEdit
-    | NoteEdit
+    | track_messages.NoteEdit
     | UndoEdit
     | RedoEdit
     | NameEdit

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache, partial
 
-from semviz.annotator import draft, messages, operation_texts, track_edits, views
+from semviz.annotator import draft, messages, operation_texts, track_edits, track_messages, views
 from semviz.annotator.association import (
     DraftAssociation,
     LabelBelow,
@@ -103,12 +103,10 @@ class LabelSession:
             self._store,
             TrackRows(tuple(self.frames), self._positions, self._quality, self.classes),
             self._reviews.tracks,
-            self._positions,
             self._selection,
             self._panes,
             cameras,
             self.image_worker,
-            self.classes,
         )
         self.team = TeamWork(self._store, self._quality, self.classes, tuple(self.frames))
         self.scene = SceneElements(lambda: self.labels, self._positions, self._reviews.tracks)
@@ -235,7 +233,7 @@ class LabelSession:
                 return self._saved(self._store.name_state(edit.name, author, request_id))
             case messages.RestoreEdit():
                 return self._saved(self._store.restore(edit.number, author, request_id, base))
-            case messages.NoteEdit():
+            case track_messages.NoteEdit():
                 return self._saved(write(edit.note(author)))
             case messages.AcceptEdit():
                 return self._accept(edit.marks, write)

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 
 from semviz.annotator import track_details
 from semviz.annotator.detection_tracks import OpenTracks
-from semviz.annotator.element_positions import ElementPositions
 from semviz.annotator.image_worker import ImageWorker
 from semviz.annotator.panes import Cameras, Panes
 from semviz.annotator.proposal_selection import ProposalSelection
 from semviz.annotator.proposals import ImageQuery
 from semviz.annotator.track_rows import TrackFrame, TrackRow, TrackRows
 from semviz_annotation.storage.store import LabelStore, Writer
-from semviz_core.base.classes import ClassSet
 
 AT_ONCE_S = 0.02
 """Rows that an edit changed are sent with it if they take no longer; the others follow."""
@@ -28,12 +26,10 @@ class SessionTracks:
     store: LabelStore
     rows: TrackRows
     open_tracks: Callable[[], OpenTracks]
-    positions: ElementPositions
     selection: ProposalSelection
     panes: Panes
     cameras: Cameras
     worker: ImageWorker
-    classes: ClassSet
 
     def known(self) -> tuple[list[TrackRow], list[TrackFrame], int]:
         """Return the rows and frames known so far, and the number of all rows."""
@@ -60,11 +56,11 @@ class SessionTracks:
         labels.element(element_id)
         inspector = track_details.TrackInspector(
             cameras=self.cameras,
-            positions=self.positions,
-            classes=self.classes,
+            positions=self.rows.positions,
+            classes=self.rows.classes,
             labels=labels,
             end=end,
-            mapped=dict(self.positions.mapped(labels)),
+            mapped=dict(self.rows.positions.mapped(labels)),
         )
         return inspector, self._placed(element_id)
 

@@ -1,10 +1,41 @@
-"""The messages of the view "Tracks"."""
+"""The messages of the view "Tracks", and notes on elements."""
 
+from datetime import UTC, datetime
 from typing import Literal
+
+from pydantic import Field
 
 from semviz.annotator import track_details, track_rows
 from semviz.web import protocol
-from semviz_annotation.labels.labels import Id
+from semviz_annotation.labels.edits import WriteNote
+from semviz_annotation.labels.labels import Id, Index
+from semviz_annotation.labels.rows import MAX_NOTE_LENGTH, Note
+
+
+class NoteEdit(protocol.Part):
+    """Write a note on an element, in the name of who is connected."""
+
+    kind: Literal["note"]
+    note_id: Id
+    element_id: Id
+    frame_index: Index | None = None
+    unsure: bool = False
+    text: str = Field(default="", max_length=MAX_NOTE_LENGTH)
+
+    def note(self, author: str) -> WriteNote:
+        """Return the edit of the labels, written now."""
+        time = datetime.now(UTC).isoformat(timespec="milliseconds")
+        return WriteNote(
+            Note(
+                self.note_id,
+                self.element_id,
+                self.frame_index,
+                self.unsure,
+                self.text,
+                author,
+                time,
+            )
+        )
 
 
 class ShowTracksRequest(protocol.Request):

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from semviz_annotation.labels.edits import (
+    AcceptFrame,
     AddMany,
     AddObservation,
     DeleteElement,
@@ -12,6 +13,8 @@ from semviz_annotation.labels.edits import (
     Link,
     MoveObservation,
     ReSnap,
+    ReviewFrame,
+    SendBackFrame,
     SetClassOfViews,
     Unlink,
     WriteNote,
@@ -23,6 +26,7 @@ from semviz_annotation.storage.integrity import check_labels
 from semviz_annotation.storage.operations import EditBase
 from semviz_annotation.storage.placement import is_accepted
 from semviz_annotation.storage.store import ConflictError, LabelStore
+from semviz_annotation.storage.teamwork import FrameRange, assignment_text
 from semviz_core.common.errors import SemvizError
 
 RULES = Rules()
@@ -165,3 +169,35 @@ def test_files_without_notes_are_upgraded_and_their_log_stays(path: Path) -> Non
             (element_id,) = store.labels.elements
             store.apply(WriteNote(note(element_id)), "ann")
         check_labels(file)
+
+
+def test_the_log_tells_who_accepted_a_frame_and_an_undo_takes_it_back(path: Path) -> None:
+    _, draw = track(2)
+    with LabelStore.open(path) as store:
+        store.apply(draw, "ann")
+        with pytest.raises(SemvizError, match="frame 0 is not marked as reviewed"):
+            store.apply(AcceptFrame(0), "bea")
+        store.apply(ReviewFrame(0, "reviewed"), "ann")
+        store.apply(AcceptFrame(0), "bea")
+        reviews, tallies, _ = store.teamwork()
+        assert (reviews[0].kind, reviews[0].author) == ("accept frame", "bea")
+        assert (tallies["ann"].edits, tallies["bea"].edits) == (2, 1)
+        store.undo("bea")
+        assert store.teamwork()[0][0].kind == "undo"
+        assert store.labels.review(0) == "reviewed"
+        store.apply(SendBackFrame(0), "bea")
+        assert store.labels.review(0) == "in work"
+        with pytest.raises(SemvizError, match="not marked as reviewed"):
+            store.apply(AcceptFrame(0), "bea")
+    check_labels(path)
+
+
+def test_assignments_are_read_from_the_log(path: Path) -> None:
+    with LabelStore.open(path) as store:
+        for name, frames in (("ann lee", (0, 9)), ("bea", (5, 7)), ("ann lee", (20, 29))):
+            store.state("assign", assignment_text(name, FrameRange(*frames)), "eva")
+        assert store.teamwork()[2] == {"ann lee": [(0, 9), (20, 29)], "bea": [(5, 7)]}
+        store.state("assign", assignment_text("ann lee", None), "eva")
+        assert store.teamwork()[2] == {"bea": [(5, 7)]}
+        assert store.undoable("eva") is None
+    check_labels(path)

@@ -80,18 +80,18 @@ def test_a_damaged_file_lets_nobody_in(people: People) -> None:
 
 def test_each_token_opens_every_page_until_it_is_revoked(served: Served, people: People) -> None:
     port = urlsplit(served.url).port
-    image = "/image/0/left.png"
-    assert connected(port, "GET", f"{image}?token=guessed", {}).status == 403
+    script = "/static/dom.js"
+    assert connected(port, "GET", f"{script}?token=guessed", {}).status == 403
     token = people.invite("mara", "look")
     entered = connected(port, "GET", f"/?token={token}", {})
     assert entered.status == 303
     cookie = {"Cookie": entered.headers["Set-Cookie"].split(";")[0]}
     assert token not in cookie["Cookie"]
-    assert connected(port, "GET", image, cookie).status == 200
+    assert connected(port, "GET", script, cookie).status == 200
     digest = digest_of(token)  # who reads the file has no token
-    assert connected(port, "GET", f"{image}?token={digest}", {}).status == 403
+    assert connected(port, "GET", f"{script}?token={digest}", {}).status == 403
     people.revoke("mara")
-    assert connected(port, "GET", image, cookie).status == 403
+    assert connected(port, "GET", script, cookie).status == 403
     assert connected(port, "GET", f"/?token={token}", {}).status == 403
 
 
@@ -191,7 +191,7 @@ def test_people_see_where_the_others_are_and_the_revoked_are_gone(
     tester.wait_for_selector(".person[title*='mara (annotate): frame 1']", timeout=WAIT_MS)
     tester.click(".person[title*='mara']")
     tester.wait_for_function("() => semviz.state.frame === 1")
-    assert "2 here" in tester.inner_text("#people")
+    assert "2 here" in (tester.text_content("#people") or "")
     draw(mara, 1, 100.0)
     people.revoke("mara")
     mara.wait_for_function("() => !semviz.state.connected", timeout=WAIT_MS)
@@ -204,3 +204,71 @@ def test_without_guests_there_is_one_token(workspace: Workspace) -> None:
     with annotating(workspace) as served:
         token = People(workspace.path).invite("mara", "annotate")
         assert connected(urlsplit(served.url).port, "GET", f"/?token={token}", {}).status == 403
+
+
+@pytest.mark.browser
+def test_a_reviewer_sends_back_with_a_comment_and_accepts(
+    pages: dict[str, "Page"], served: Served
+) -> None:
+    tester, mara = pages["tester"], pages["mara"]
+    store = served.annotator.session._store
+    draw(mara, 0, 100.0)
+    mara.keyboard.press("Enter")
+    mara.wait_for_function("() => !semviz.state.pending.length", timeout=WAIT_MS)
+    tester.keyboard.press("F8")
+    tester.wait_for_selector("#team-queue .row:has-text('mara')", timeout=WAIT_MS)
+    tester.keyboard.press("Shift+N")
+    tester.wait_for_selector("#message:has-text('pin a comment first')")
+    tester.keyboard.press("Shift+I")
+    tester.keyboard.type("too far left")
+    tester.keyboard.press("Enter")
+    tester.wait_for_selector("#team-notes:has-text('too far left')", timeout=WAIT_MS)
+    tester.keyboard.press("Shift+N")
+    tester.wait_for_function("() => semviz.team.queue.length === 0", timeout=WAIT_MS)
+    assert served.labels.review(0) == "in work"
+    (note,) = served.labels.notes.values()
+    assert (note.author, note.frame_index, note.text) == ("tester", 0, "too far left")
+    mara.wait_for_function("() => semviz.state.labels.frames[0].state === 'in work'")
+    mara.keyboard.press("Enter")
+    tester.wait_for_selector("#team-queue .row:has-text('mara')", timeout=WAIT_MS)
+    tester.keyboard.press("Enter")
+    tester.wait_for_selector("#team-queue:has-text('Nothing waits. 1 accepted.')", timeout=WAIT_MS)
+    assert served.labels.review(0) == "reviewed"
+    assert [row.kind for row in store.operations()][-4:] == [
+        "note",
+        "send back",
+        "review",
+        "accept frame",
+    ]
+    tester.keyboard.press("Control+z")
+    tester.wait_for_selector("#team-queue .row", timeout=WAIT_MS)
+
+
+@pytest.mark.browser
+def test_frames_are_assigned_by_who_reviews_and_progress_is_told(
+    pages: dict[str, "Page"], served: Served
+) -> None:
+    tester, mara = pages["tester"], pages["mara"]
+    for page in (tester, mara):
+        page.keyboard.press("F8")
+        page.wait_for_selector(".team-person:has-text('mara')", timeout=WAIT_MS)
+    assert mara.locator("#team-assign").is_hidden()
+    mara.evaluate("() => semviz.socket.send('assign_frames', {person: 'mara', frames: [0, 2]})")
+    mara.wait_for_selector("#message:has-text('only who reviews')")
+    tester.select_option("#team-person", "mara")
+    tester.keyboard.press("Shift+G")
+    tester.keyboard.type("0-1")
+    tester.keyboard.press("Enter")
+    tester.wait_for_selector(".team-person:has-text('mara'):has-text('0 / 2')", timeout=WAIT_MS)
+    draw(mara, 0, 100.0)
+    mara.keyboard.press("F2")
+    mara.keyboard.press("Enter")
+    tester.wait_for_selector(".team-person:has-text('mara'):has-text('1 / 2')", timeout=WAIT_MS)
+    mara.evaluate(  # a labeller's page cannot accept its own frame
+        """() => semviz.socket.send('apply_edit',
+          { edit: { kind: 'accept frame', frame_index: 0 }, base: null },
+          '00000000-0000-7000-8000-000000000001')"""
+    )
+    mara.wait_for_selector("#message:has-text('only who reviews')")
+    kinds = [row.kind for row in served.annotator.session._store.operations()]
+    assert kinds == ["assign", "add", "review"]

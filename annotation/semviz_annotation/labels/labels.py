@@ -69,10 +69,7 @@ class StereoPair(NamedTuple):
 
 @dataclass(frozen=True)
 class Labels:
-    """The whole label state. Two states are equal if their rows are.
-
-    Do not modify the mappings: ``changed`` returns a new state.
-    """
+    """The whole label state. Do not modify the mappings: ``changed`` returns a new state."""
 
     elements: Mapping[str, LabelElement] = field(default_factory=dict)
     observations: Mapping[str, Observation] = field(default_factory=SharedDict)

@@ -221,11 +221,6 @@ export class Page {
     showPalette(this.keys);
   }
 
-  /** Shows whole images. */
-  fit() {
-    this.images.fit();
-  }
-
   sendTheme() {
     const theme = currentTheme();
     this.state.set({ theme });

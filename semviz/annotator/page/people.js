@@ -6,6 +6,8 @@
 import { el } from "/static/dom.js";
 import { RenderCache } from "./widgets.js";
 
+const MOST = 4; // initials in the top bar, of those who are here first
+
 export class People {
   /**
    * @param {State} state
@@ -31,8 +33,9 @@ export class People {
   show() {
     const { others } = this;
     this.cache.show("people", [others, this.state.connected], () => [
-      ...others.map((person) => this.#chip(person)),
-      others.length ? el("span", { class: "dim", text: this.#summary() }) : null,
+      ...[...others].sort((a, b) => b.frames.length - a.frames.length).slice(0, MOST).map((person) => this.#chip(person)),
+      others.length > MOST ? el("span", { class: "dim", text: `+${others.length - MOST}` }) : null,
+      others.length ? el("span", { class: "dim people-here", text: this.#summary() }) : null,
     ]);
   }
 
