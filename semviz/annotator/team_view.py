@@ -15,7 +15,7 @@ from semviz.workspace.people import Person
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.storage.operations import Writer
 from semviz_annotation.storage.store import LabelStore
-from semviz_annotation.storage.teamwork import FrameRange
+from semviz_annotation.storage.teamwork import AssignedFrames
 from semviz_core.base.classes import ClassSet
 from semviz_core.common.errors import SemvizError
 
@@ -135,14 +135,14 @@ class TeamWork:
         ]
         return TeamView(people=team, queue=queue)
 
-    def checked(self, frames: tuple[int, int] | None) -> FrameRange | None:
+    def checked(self, frames: tuple[int, int] | None) -> AssignedFrames | None:
         """Return a range of frames. Raise SemvizError if the sequence has none of them."""
         if frames is None:
             return None
         first, last = frames
         if not any(first <= index <= last for index in self.order):
             raise SemvizError(f"there are no frames {first} to {last}")
-        return FrameRange(first, last)
+        return AssignedFrames(first, last)
 
     def _entry(self, index: int, state: QueueState, writer: Writer, labels: Labels) -> QueueEntry:
         elements = {row.element_id for row in labels.in_frame(index)}

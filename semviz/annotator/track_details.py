@@ -211,7 +211,7 @@ def best_split(positions: ElementPositions, rows: Sequence[Observation]) -> Trac
     fits = "they fit no single place" if np.isinf(whole) else f"χ² {whole:.0f}, apart {chi2:.0f}"
     return TrackSplit(
         frame=start,
-        title=f"Two things from frame {start} on",
+        title=f"Two elements from frame {start} on",
         text=f"Frames {frames[0]}–{before} meet in one place, {start}–{frames[-1]} in another, "
         f"{_away_m(first, second):.2f} m apart ({fits}).",
     )

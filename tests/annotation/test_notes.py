@@ -26,7 +26,7 @@ from semviz_annotation.storage.integrity import check_labels
 from semviz_annotation.storage.operations import EditBase
 from semviz_annotation.storage.placement import is_accepted
 from semviz_annotation.storage.store import ConflictError, LabelStore
-from semviz_annotation.storage.teamwork import FrameRange, assignment_text
+from semviz_annotation.storage.teamwork import AssignedFrames, assignment_text
 from semviz_core.common.errors import SemvizError
 
 RULES = Rules()
@@ -195,7 +195,7 @@ def test_the_log_tells_who_accepted_a_frame_and_an_undo_takes_it_back(path: Path
 def test_assignments_are_read_from_the_log(path: Path) -> None:
     with LabelStore.open(path) as store:
         for name, frames in (("ann lee", (0, 9)), ("bea", (5, 7)), ("ann lee", (20, 29))):
-            store.state("assign", assignment_text(name, FrameRange(*frames)), "eva")
+            store.state("assign", assignment_text(name, AssignedFrames(*frames)), "eva")
         assert store.teamwork()[2] == {"ann lee": [(0, 9), (20, 29)], "bea": [(5, 7)]}
         store.state("assign", assignment_text("ann lee", None), "eva")
         assert store.teamwork()[2] == {"bea": [(5, 7)]}

@@ -306,7 +306,7 @@ def test_the_page_tells_two_things_that_were_linked(page: "Page", served: Served
     for row in rows:  # as if another pole, 60 px aside, had been taken for it
         session.apply(new_id(), _moved(row, 60.0))
     page.wait_for_function("() => semviz.tracks.details?.split?.frame === 3", timeout=WAIT_MS)
-    page.wait_for_selector(".track-cause:has-text('Two things from frame 3 on')")
+    page.wait_for_selector(".track-cause:has-text('Two elements from frame 3 on')")
 
 
 def _moved(row: Observation, by_px: float) -> Any:

@@ -31,7 +31,7 @@ from semviz_annotation.storage.operations import (
     Writer,
     sealed,
 )
-from semviz_annotation.storage.teamwork import FrameRange, Tally
+from semviz_annotation.storage.teamwork import AssignedFrames, Tally
 from semviz_core.base.camera import Rig
 from semviz_core.base.classes import (
     DEFAULT_CLASSES,
@@ -193,7 +193,7 @@ class LabelStore:
 
     def teamwork(
         self,
-    ) -> tuple[dict[int, Writer], dict[str, Tally], dict[str, list[FrameRange]]]:
+    ) -> tuple[dict[int, Writer], dict[str, Tally], dict[str, list[AssignedFrames]]]:
         """Return the last operations on reviews by frame, the work by author, assigned frames."""
         with self._file.reading():
             connection = self._file.connection

@@ -9,7 +9,7 @@ from semviz_annotation.storage.operations import Writer
 from semviz_core.common.errors import SemvizError
 
 
-class FrameRange(NamedTuple):
+class AssignedFrames(NamedTuple):
     """Frames from the first to the last, inclusive."""
 
     first: int
@@ -42,14 +42,14 @@ def tallies(connection: sqlite3.Connection) -> dict[str, Tally]:
     return {author: Tally(count, last) for author, count, last in rows}
 
 
-def assignment_text(name: str, frames: FrameRange | None) -> str:
+def assignment_text(name: str, frames: AssignedFrames | None) -> str:
     """Return the text of an operation that assigns frames to a person, or takes all away."""
     return f"none {name}" if frames is None else f"{frames.first}-{frames.last} {name}"
 
 
-def assignments(connection: sqlite3.Connection) -> dict[str, list[FrameRange]]:
+def assignments(connection: sqlite3.Connection) -> dict[str, list[AssignedFrames]]:
     """Return the ranges of frames of each person, in the order in which they were assigned."""
-    ranges: dict[str, list[FrameRange]] = defaultdict(list)
+    ranges: dict[str, list[AssignedFrames]] = defaultdict(list)
     for (text,) in connection.execute(
         "SELECT text FROM operations WHERE kind = 'assign' ORDER BY number"
     ):
@@ -59,5 +59,5 @@ def assignments(connection: sqlite3.Connection) -> dict[str, list[FrameRange]]:
         if found[1] is None:
             ranges[found[3]].clear()
         else:
-            ranges[found[3]].append(FrameRange(int(found[1]), int(found[2])))
+            ranges[found[3]].append(AssignedFrames(int(found[1]), int(found[2])))
     return {name: of for name, of in ranges.items() if of}
