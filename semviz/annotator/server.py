@@ -30,7 +30,9 @@ from semviz_core.common.errors import SemvizError
 
 PAGE = Path(__file__).parent / "page"
 FLUSH_EVERY_S = 0.05
-"""Shortest time between two updates of a page by the edits of others."""
+FLUSH_PAGE_S = 0.02
+"""Shortest time between two updates of a page by the edits of others; the second for each page
+that is open. With thirty pages that is two thirds of a second, in which edits are gathered."""
 POLL_EVERY_S = 1.0
 """How often to check for changes of other processes: one query."""
 SEND_EVERY_S = 0.5
@@ -155,7 +157,7 @@ class Annotator:
             for page in self.pages:
                 with contextlib.suppress(sqlite3.Error, LabelFileError), self.lock:
                     page.send_update()
-            self._closing.wait(FLUSH_EVERY_S)
+            self._closing.wait(FLUSH_EVERY_S + FLUSH_PAGE_S * len(self._pages))
 
     def _follow_people(self) -> None:
         """Tell all pages who is where, and end the sessions of those who may no longer enter."""

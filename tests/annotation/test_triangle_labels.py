@@ -132,7 +132,7 @@ def test_a_longer_log_of_the_other_definition_is_refused(tmp_path: Path) -> None
         export_operations(store, tmp_path / "long.jsonl")
     text = (tmp_path / "long.jsonl").read_text()
     forged = text.replace('"triangle_center": "centroid"', '"triangle_center": "box"')
-    forged = forged.replace('"version": 4', '"version": 3')
+    forged = forged.replace('"version": 6', '"version": 5')
     (tmp_path / "forged.jsonl").write_text(forged)
     with LabelStore.open(tmp_path / "b.db") as store:
         import_operations(tmp_path / "short.jsonl", store)

@@ -98,7 +98,7 @@ export class TrackViews {
       const place = tracks.placeOf(label.frame);
       if (tracks.row && place !== undefined) tracks.choose(tracks.row, place);
       tracks.reveal();
-    } }, canvas, el("span", {}, el("b", { text: `${label.frame} ${label.side === "left" ? "L" : "R"}` }), el("span", { class: "dim", text: ` ${px}` }), isSeen ? el("span", { class: "push seen", text: "✓" }) : null));
+    } }, canvas, el("span", {}, el("b", { text: `${label.frame} ${label.side === "left" ? "L" : "R"}` }), el("span", { class: "dim", text: ` ${px}` }), isSeen ? el("span", { class: "push verified", text: "✓" }) : null));
     const load = async () => {
       const { bitmap } = await tracks.page.pictures.get(label.frame, label.side);
       if (bitmap && node.isConnected) this.#draw(canvas, bitmap, label, ratio);
