@@ -133,7 +133,7 @@ class Annotator:
             *self._sessions.routes(),
         ]
 
-    def _open(self, session_id: str, send: Send, person: str) -> AnnotatorPage:
+    def _open(self, session_id: str, send: Send, person: str = "") -> AnnotatorPage:
         page = AnnotatorPage(session_id, send, self, person)
         self._pages.append(page)
         return page

@@ -73,7 +73,7 @@ export class Views {
       ["F8", "team", "Show the team: who has what, the review queue", "people assign comments"],
       ["F9", "drive", "Show your drive: checks of the import", "calibration import trajectory"],
     ]);
-    return titles.map(([key, view, title, words]) => ({ key, group: "Views", title, words, run: () => this.open(view) }));
+    return titles.map(([key, view, title, words]) => ({ key, group: "General", row: "Images, tracks, poses, team, your drive", title, words, run: () => this.open(view) }));
   }
 
   /** Marks the tab; called whenever the state of the page changes. */
