@@ -161,7 +161,10 @@ class Annotator:
 
     def _follow_people(self) -> None:
         """Tell all pages who is where, and end the sessions of those who may no longer enter."""
-        people = self.people.by_name()
+        try:
+            people = self.people.by_name()
+        except SemvizError:  # damaged: nobody enters, and who is asked says so
+            return
         for person in {page.person for page in self.pages} - {"", *people}:
             self._sessions.end_of(person)
         pages = [(page.author, page.frame) for page in self.pages]

@@ -65,7 +65,7 @@ export class Tracks {
     });
     page.socket.on("track_proposals", (event) => this.actions.found(event));
     page.socket.on("resnap", (event) => this.actions.snapped(event));
-    page.socket.onConnection((connected) => { if (connected && this.isShown) this.#request(); });
+    page.socket.on("workspace", () => { if (this.isShown || this.table.total !== null) this.#request(); }); // connected again, or with other poses
   }
 
   get isShown() {
