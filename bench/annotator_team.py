@@ -109,7 +109,7 @@ async def run(url: str, tokens: dict[str, str], options: TeamOptions, workspace:
         team = [alone, *await _labellers(http, url, dict(list(tokens.items())[1:]), options)]
         alone.times.clear()
         start = time.perf_counter()
-        await asyncio.gather(*(one.work(options) for one in team))
+        await asyncio.gather(*(_work_and_stay(one, team, options) for one in team))
         took_s = time.perf_counter() - start
         report(f"{len(team)} people: click to saved", [ms for one in team for ms in one.times])
         print(f"{'edits a second, all together':<44} {len(team) * options.edits / took_s:6.1f}")
@@ -121,6 +121,13 @@ async def run(url: str, tokens: dict[str, str], options: TeamOptions, workspace:
             f"{'until all pages show the last operation':<44} {time.perf_counter() - start:6.2f} s"
         )
         assert set(ends) == {last.hash}, "the pages do not show the same labels"
+
+
+async def _work_and_stay(one: Labeller, team: list[Labeller], options: TeamOptions) -> None:
+    """Works, then reads on until all are ready: a page that doesn't is taken for gone."""
+    await one.work(options)
+    while any(len(other.times) < options.edits for other in team):
+        await one.client.listen(1.0)
 
 
 async def _labellers(

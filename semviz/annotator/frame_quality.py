@@ -76,6 +76,11 @@ class FrameQuality:
                 around = self._order[max(0, rank - AROUND) : rank + AROUND + 1]
                 self._stale.update(dict.fromkeys(around))
 
+    def is_near(self, index: int, changed: Iterable[int]) -> bool:
+        """Return whether labels in some of the frames may change the proposals of another."""
+        rank = self._rank[index]
+        return any(abs(self._rank.get(other, rank) - rank) <= AROUND for other in changed)
+
     def forget_all(self) -> Sequence[int]:
         """Mark all frames as stale and return them."""
         self._stale = dict.fromkeys(self._order)

@@ -286,7 +286,8 @@ class UpdateEvent(protocol.Event):
 
     type: Literal["update"] = "update"
     labels: views.LabelsView
-    frame: LabelledFrameView
+    frame: LabelledFrameView | None
+    """None if all changes are too far away to show in the frame on screen."""
 
 
 class SavedOperationEvent(protocol.Event):

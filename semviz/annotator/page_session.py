@@ -170,9 +170,12 @@ class AnnotatorPage:
     def send_update(self) -> None:
         """Send what waits, with the frame on screen. The caller holds the lock."""
         labels, self._waiting = self._waiting, None
-        if labels is not None:
-            frame = self._shown_frame()
-            self._send(messages.UpdateEvent(labels=self._own(labels), frame=frame))
+        if labels is None:
+            return
+        is_near = self._session.is_near(self._frame, [frame.index for frame in labels.frames])
+        frame = self._shown_frame() if is_near else None
+        self._send(messages.UpdateEvent(labels=self._own(labels), frame=frame))
+        if is_near:
             self._redraw()
             self._search_images()
 

@@ -1,11 +1,11 @@
-"""The labels of one workspace, edited by one author, without any web code.
+"""The labels of one workspace, edited by several people, without any web code.
 
 An edit is on disk when its method returns. One thread at a time; the images, the image worker
 and the map review may be used by any thread.
 """
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 
@@ -52,10 +52,7 @@ from semviz_core.datasets.rig_cameras import cameras_by_frame
 
 
 class LabelSession:
-    """The labels of one workspace, edited by one author. One thread at a time.
-
-    Any thread may use ``images``, ``image_worker`` and ``map_work``.
-    """
+    """The labels of one workspace; see the module about threads."""
 
     def __init__(self, workspace: Workspace, author: str) -> None:
         self.workspace = workspace
@@ -186,6 +183,10 @@ class LabelSession:
             nearby=views.nearby_views(nearby, labels, self.classes),
             is_searching=bool(self._selection.pending_queries(index, labels)),
         )
+
+    def is_near(self, index: int, changed: Sequence[int]) -> bool:
+        """Return whether changes of these frames may show in a frame; so may those of none."""
+        return not changed or self._quality.is_near(index, changed)
 
     def review(self, request: messages.ShowReviewRequest) -> ReviewEntry:
         """Return a decision of the last map, or a finding in it; see ``Reviews.entry``."""

@@ -388,11 +388,11 @@ export class Page {
   /** Takes over the changes of an operation, together with `more` fields of the state.
    *
    * @param {annotator.LabelsView} labels
-   * @param {annotator.LabelledFrameView} frame
+   * @param {annotator.LabelledFrameView | null} frame null: as it was
    * @param {Partial<State>} more
    */
   #take(labels, frame, more = {}) {
-    const shown = frame.index === this.state.frame ? frame : this.state.labels.frame;
+    const shown = frame && frame.index === this.state.frame ? frame : this.state.labels.frame;
     this.state.set({ received: { ...labels, frames: this.#merged(labels.frames), frame: shown }, ...more });
   }
 

@@ -1262,7 +1262,7 @@ export interface UpdateEvent {
   type: "update";
   reply_to: string | null;
   labels: LabelsView;
-  frame: LabelledFrameView;
+  frame: LabelledFrameView | null;
 }
 
 /** The workspace and its labels; sent when the page connects. */
