@@ -60,7 +60,7 @@ class Options:
 
 def make_workspace(folder: Path, options: Options) -> Workspace:
     root = folder / "kitti"
-    _write_images(root / "sequences" / SEQUENCE, options.frames)
+    write_images(root / "sequences" / SEQUENCE, options.frames)
     (root / "poses").mkdir()
     radius_m = options.frames * STEP_M / 2.0 / (2.0 * np.pi)
     lines = []
@@ -76,7 +76,8 @@ def make_workspace(folder: Path, options: Options) -> Workspace:
     return made
 
 
-def _write_images(folder: Path, frames: int) -> None:
+def write_images(folder: Path, frames: int) -> None:
+    """Write a KITTI sequence of ``frames`` in which a few pairs of images serve all."""
     street = Street(0, StreetOptions(PAIRS))
     for camera, side in ((2, "left"), (3, "right")):
         images = folder / f"image_{camera}"
@@ -106,9 +107,15 @@ class Client:
     async def ask(self, message: dict[str, Any], done: Callable[[dict[str, Any]], bool]) -> float:
         """Milliseconds until the answer for which ``done`` holds."""
         start = time.perf_counter()
-        await self._socket.send_json(message)
-        await self.hear(done)
+        await self.ask_for(message, done)
         return 1000.0 * (time.perf_counter() - start)
+
+    async def ask_for(
+        self, message: dict[str, Any], done: Callable[[dict[str, Any]], bool]
+    ) -> dict[str, Any]:
+        """The answer for which ``done`` holds."""
+        await self._socket.send_json(message)
+        return await self.hear(done)
 
     async def listen(self, seconds: float) -> None:
         """Reads on: a page that doesn't is taken for gone."""

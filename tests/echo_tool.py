@@ -72,7 +72,7 @@ class EchoTool:
         self.made: list[str] = []
         self._sessions = Sessions(self._make, HANDLERS.decode)
 
-    def _make(self, session_id: str, send: Send) -> EchoSession:
+    def _make(self, session_id: str, send: Send, _: str) -> EchoSession:
         self.made.append(session_id)
         return EchoSession(send)
 

@@ -96,8 +96,10 @@ class PoseUndo:
         """What was said about a request: one that is sent twice is applied once."""
         self._undone_last = False
 
-    def step(self, edit: PageEdit, request_id: str, session: LabelSession) -> str | None:
-        """Undo or redo a choice of poses, if that is next; return what to say about it.
+    def step(
+        self, edit: PageEdit, request_id: str, session: LabelSession, author: str
+    ) -> str | None:
+        """Undo or redo the author's choice of poses, if that is next; return what to say about it.
 
         None: ``edit`` is another edit, or the next step is one of labels.
         """
@@ -108,7 +110,7 @@ class PoseUndo:
             return self._texts[request_id]
         is_undo = isinstance(edit, messages.UndoEdit)
         choices = session.choices
-        if is_undo and not session.history.undoes_poses(choices, session.author):
+        if is_undo and not session.history.undoes_poses(choices, author):
             self._undone_last = False
             return None
         if not is_undo and (choices.standing == len(choices.operations) or not self._undone_last):
@@ -124,9 +126,13 @@ class PoseRequests:
     """Those of one opened page."""
 
     def __init__(
-        self, send: Callable[[messages.AnnotatorEvent], None], shared: PoseServices
+        self,
+        send: Callable[[messages.AnnotatorEvent], None],
+        shared: PoseServices,
+        author: str,
     ) -> None:
         self._send = send
+        self._author = author
         self._shared = shared
 
     def send_progress(self) -> None:
@@ -167,9 +173,8 @@ class PoseRequests:
         if review is None:
             raise RefusedError("not_found", "the poses have not been compared yet")
         stretch = request.first, request.last, request.subject
-        author = self._shared.session.author
         try:
-            chosen = choose_poses(review, request.choice, stretch, author, request.id)
+            chosen = choose_poses(review, request.choice, stretch, self._author, request.id)
         except SemvizError as error:
             raise RefusedError("invalid", str(error)) from None
         text = choice_text(chosen)

@@ -16,8 +16,10 @@ from semviz_annotation.labels.labels import (
     Observation,
     ReviewDecision,
 )
+from semviz_annotation.labels.views import PosedView
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_annotation.storage.store import Operation
+from semviz_core.base.frame import Side
 from semviz_core.metrics.detection import across_px
 
 AROUND = 60
@@ -35,6 +37,8 @@ class FrameFacts:
     proposed: int
     """Number of mapped elements expected in the frame's images and of detections, neither labelled
     nor rejected. From geometry alone, without image search."""
+    expected: tuple[tuple[str, Side], ...]
+    """Mapped elements expected in the frame's images, neither labelled nor rejected there."""
     disagreement: Disagreement | None
     """None if no detector processed the frame."""
 
@@ -72,6 +76,11 @@ class FrameQuality:
                 around = self._order[max(0, rank - AROUND) : rank + AROUND + 1]
                 self._stale.update(dict.fromkeys(around))
 
+    def is_near(self, index: int, changed: Iterable[int]) -> bool:
+        """Return whether labels in some of the frames may change the proposals of another."""
+        rank = self._rank[index]
+        return any(abs(self._rank.get(other, rank) - rank) <= AROUND for other in changed)
+
     def forget_all(self) -> Sequence[int]:
         """Mark all frames as stale and return them."""
         self._stale = dict.fromkeys(self._order)
@@ -102,11 +111,13 @@ class FrameQuality:
             position = self._positions.of_element(labels, row.element_id)
             if not isinstance(position, Triangulated):
                 continue
-            view = self._positions.view(row)
-            if row.end_px is None:
-                projected = view.project(position.anchor_m[None])[0]
-                yield float(np.linalg.norm(projected - row.anchor_px)), row.element_id
-            else:
-                line = view.project(np.stack([position.anchor_m, position.end_m]))
-                across = across_px(line, np.array([row.anchor_px, row.end_px]))
-                yield float(np.abs(across).max()), row.element_id
+            yield residual_px(self._positions.view(row), row, position), row.element_id
+
+
+def residual_px(view: PosedView, row: Observation, position: Triangulated) -> float:
+    """Return how far a label is from the projection of its element: of a pole, across its line."""
+    if row.end_px is None:
+        projected = view.project(position.anchor_m[None])[0]
+        return float(np.linalg.norm(projected - row.anchor_px))
+    line = view.project(np.stack([position.anchor_m, position.end_m]))
+    return float(np.abs(across_px(line, np.array([row.anchor_px, row.end_px]))).max())

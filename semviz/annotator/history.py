@@ -6,7 +6,7 @@ The log may be written by any process. One thread at a time.
 from collections import deque
 from collections.abc import Container
 
-from semviz.annotator import views
+from semviz.annotator import operation_texts, views
 from semviz.annotator.draft import LabelledFrameView
 from semviz.annotator.frame_quality import FrameQuality
 from semviz.annotator.panes import Panes
@@ -77,6 +77,14 @@ class HistoryView:
         )
         return PastFrame(operation=operation, done=next(iter(self._views(done)), None), frame=frame)
 
+    def can_undo(self, author: str, choices: PoseChoices) -> bool:
+        """Return whether there is a step of the author's to undo, of labels or of poses."""
+        return self._store.undoable(author) is not None or self.undoes_poses(choices, author)
+
+    def can_redo(self, author: str) -> bool:
+        """Return whether there is an undone edit of the author's."""
+        return self._store.redoable(author) is not None
+
     def undoes_poses(self, choices: PoseChoices, author: str) -> bool:
         """Return whether the author's last step that can be undone is a choice of poses."""
         last = choices.present[-1:]
@@ -94,7 +102,7 @@ class HistoryView:
     def _views(self, operations: tuple[Operation, ...]) -> list[OperationView]:
         labels = self._store.labels
         return [
-            views.operation_view(operation, labels, self._classes)
+            operation_texts.operation_view(operation, labels, self._classes)
             for operation in reversed(operations)
         ]
 
@@ -134,9 +142,11 @@ class UpdateFeed:
             self._start()
             self._changed.update(self._quality.forget_all())
         for operation in self._store.operations(after=self.end.number):
-            self._history.appendleft(views.operation_view(operation, labels, self._classes))
-            self._changed.update(views.frames_touched(operation))
-            self._changed.update(views.frames_of_decisions(operation, labels))
+            self._history.appendleft(
+                operation_texts.operation_view(operation, labels, self._classes)
+            )
+            self._changed.update(operation_texts.frames_touched(operation))
+            self._changed.update(operation_texts.frames_of_decisions(operation, labels))
             self._quality.forget(operation, labels)
             self.end = LogEnd(operation.number, operation.hash)
         return list(self._history)

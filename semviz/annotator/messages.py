@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from pydantic import ConfigDict, Field
 
-from semviz.annotator import pose_views, views
+from semviz.annotator import people_view, pose_views, team_view, track_messages, views
 from semviz.annotator.draft import (
     DraftPreview,
     DraftState,
@@ -119,6 +119,7 @@ PageEdit: TypeAlias = Annotated[
     | RejectTracksEdit
     | AcceptSureTracksEdit
     | AlignLabelsEdit
+    | track_messages.NoteEdit
     | UndoEdit
     | RedoEdit
     | NameEdit
@@ -230,6 +231,12 @@ AnnotatorRequest: TypeAlias = Annotated[
     | CloseReviewRequest
     | BuildMapRequest
     | StopMapBuildRequest
+    | team_view.ShowTeamRequest
+    | team_view.AssignFramesRequest
+    | track_messages.ShowTracksRequest
+    | track_messages.ShowTrackRequest
+    | track_messages.SearchTrackRequest
+    | track_messages.PreviewReSnapRequest
     | ShowDriveRequest
     | ShowDriveFrameRequest
     | pose_views.ShowPosesRequest
@@ -279,7 +286,8 @@ class UpdateEvent(protocol.Event):
 
     type: Literal["update"] = "update"
     labels: views.LabelsView
-    frame: LabelledFrameView
+    frame: LabelledFrameView | None
+    """None if all changes are too far away to show in the frame on screen."""
 
 
 class SavedOperationEvent(protocol.Event):
@@ -398,6 +406,12 @@ AnnotatorEvent: TypeAlias = (
     | OperationsEvent
     | NamedStatesEvent
     | ReviewEvent
+    | track_messages.TracksEvent
+    | track_messages.TrackEvent
+    | track_messages.TrackProposalsEvent
+    | track_messages.ReSnapEvent
+    | people_view.PeopleEvent
+    | team_view.TeamEvent
     | DriveEvent
     | DriveFrameEvent
     | pose_views.PosesEvent

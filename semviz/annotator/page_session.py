@@ -1,26 +1,30 @@
 """Handle the requests of one opened page, and send it updates and its 3D scene."""
 
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from typing import Protocol
-
-import numpy as np
 
 from semviz.annotator import messages
 from semviz.annotator.association import SamePlaceError
 from semviz.annotator.draft import LabelledFrameView
 from semviz.annotator.drive_requests import DriveRequests, PoseRequests, PoseUndo
+from semviz.annotator.page_scene import PageScene
 from semviz.annotator.panes import SecondImage
-from semviz.annotator.pose_views import PoseWork
-from semviz.annotator.scene_view import AnnotatorScene, Shown
-from semviz.annotator.session import LabelSession, SavedEdit
-from semviz.annotator.views import FrameSummary, LabelsView, label_element_name
+from semviz.annotator.people_view import PeopleEvent, PersonView
+from semviz.annotator.pose_views import ChoosePosesRequest, PoseWork
+from semviz.annotator.session import LabelSession
+from semviz.annotator.session_results import SavedEdit
+from semviz.annotator.team_requests import TeamRequests, needs_review
+from semviz.annotator.team_view import AssignFramesRequest
+from semviz.annotator.track_requests import TrackRequests
+from semviz.annotator.track_rows import TrackFrame, TrackRow
+from semviz.annotator.views import FrameSummary, LabelsView
 from semviz.web import protocol
-from semviz.web.shapes import Theme
+from semviz.web.protocol import RefusedError
 from semviz.web.viser_servers import ViserServers
 from semviz.workspace.backdrop import find_backdrop
-from semviz_annotation.mapping.backdrop import Backdrop
+from semviz.workspace.people import People, Role
 from semviz_annotation.storage.label_file import Health, LabelFileError
 from semviz_annotation.storage.operations import ConflictError, ReplacedLogError
 
@@ -62,7 +66,33 @@ class AnnotatorServices(Protocol):
     @property
     def pages(self) -> Iterable["AnnotatorPage"]: ...
 
+    @property
+    def updates_queued(self) -> threading.Event:
+        """Set when a page has updates to send."""
+        ...
+
+    @property
+    def people(self) -> People: ...
+
+    def role_of(self, person: str) -> Role | None:
+        """Return what a guest may do, "" being who started the server; None: no longer anything."""
+        ...
+
+    def people_changed(self) -> None:
+        """Tell all pages soon who is where."""
+        ...
+
     def forget(self, page: "AnnotatorPage") -> None: ...
+
+
+CHANGING = (
+    messages.ApplyEditRequest,
+    messages.BuildMapRequest,
+    messages.StopMapBuildRequest,
+    ChoosePosesRequest,
+    AssignFramesRequest,
+)
+"""Requests that need more than the right to look."""
 
 
 class AnnotatorPage:
@@ -73,58 +103,99 @@ class AnnotatorPage:
         session_id: str,
         send: Callable[[messages.AnnotatorEvent], None],
         shared: AnnotatorServices,
+        person: str = "",
     ) -> None:
+        """``person`` is the guest whose page it is; empty for who started the server."""
         self._id = session_id
+        self.person = person
         self._send = send
         self._shared = shared
-        self._poses = PoseRequests(send, shared)
+        self._waiting: LabelsView | None = None
+        """Updates that are still to be sent."""
+        self._poses = PoseRequests(send, shared, self.author)
         self._drive = DriveRequests(send, shared)
+        self._tracks = TrackRequests(send, shared)
+        self._team = TeamRequests(send, shared, self.author)
         self._frame = next(iter(self._session.frames))
         self._second: SecondImage | None = None
         """The wish for the second image."""
-        self._selected: str | None = None
-        self._reviewed: frozenset[str] = frozenset()
-        """Elements of the decision or finding on screen."""
-        self._scene: AnnotatorScene | None = None
-        self._closed = False
-        self._theme: Theme = "dark"
-        self._backdrop: Backdrop | None = None
-        self._shows_backdrop = False
-        self._redraw_queued = threading.Event()
+        self._scene = PageScene(session_id, send, shared)
         self._search_queued = threading.Event()
-        self._handle = HANDLERS.bound_to(self, self._poses, self._drive)
+        self._handle = HANDLERS.bound_to(self, self._poses, self._drive, self._tracks, self._team)
 
     @property
     def _session(self) -> LabelSession:
         """Another one after the poses were chosen anew."""
         return self._shared.session
 
+    @property
+    def author(self) -> str:
+        """Whose edits those of this page are."""
+        return self.person or self._session.author
+
+    @property
+    def frame(self) -> int:
+        """The frame on screen."""
+        return self._frame
+
     # -- called by the web tools' sessions and by the annotator
 
     def connected(self) -> None:
         with self._shared.lock:  # or a newer update could go first
-            workspace, labels = self._session.describe(), self._session.summary()
+            self._waiting = None
+            role = self._shared.role_of(self.person) or "look"
+            workspace = self._session.describe(self.author, role)
+            labels = self._own(self._session.summary())
             self._send(messages.WorkspaceEvent(workspace=workspace, labels=labels))
+        self._shared.people_changed()
         self.send_health(self._session.health())
         self._poses.send_progress()
-        if self._scene is not None:
-            self._send(protocol.SceneEvent())
+        self._scene.announce()
         self._redraw()
 
     def restart(self) -> None:
         """Send everything again, with other poses. The caller holds the lock."""
-        self._shared.scene_thread.submit(self._drop_scene)
+        self._scene.drop()
         self.connected()
 
     def send_poses(self) -> None:
         """Send how far the comparison of poses is."""
         self._poses.send_progress()
 
-    def send_update(self, labels: LabelsView) -> None:
-        """Send the session's updates with the frame on screen. The caller holds the lock."""
-        self._send(messages.UpdateEvent(labels=labels, frame=self._shown_frame()))
-        self._redraw()
-        self._search_images()
+    def queue_update(self, labels: LabelsView) -> None:
+        """Send the session's updates soon, together with later ones. The caller holds the lock."""
+        self._waiting = self._with_waiting(labels)
+        self._shared.updates_queued.set()
+
+    def send_update(self) -> None:
+        """Send what waits, with the frame on screen. The caller holds the lock."""
+        labels, self._waiting = self._waiting, None
+        if labels is None:
+            return
+        is_near = self._session.is_near(self._frame, [frame.index for frame in labels.frames])
+        frame = self._shown_frame() if is_near else None
+        self._send(messages.UpdateEvent(labels=self._own(labels), frame=frame))
+        if is_near:
+            self._redraw()
+            self._search_images()
+
+    def _with_waiting(self, labels: LabelsView) -> LabelsView:
+        """Return updates together with those that wait, which are older."""
+        if self._waiting is None:
+            return labels
+        newer = {frame.index for frame in labels.frames}
+        older = [frame for frame in self._waiting.frames if frame.index not in newer]
+        return labels.model_copy(update={"frames": [*older, *labels.frames]})
+
+    def _own(self, labels: LabelsView) -> LabelsView:
+        """Return a view as this page shows it: one undoes one's own edits."""
+        history, choices = self._session.history, self._session.choices
+        own = {"can_undo": history.can_undo(self.author, choices)}
+        return labels.model_copy(update=own | {"can_redo": history.can_redo(self.author)})
+
+    def send_people(self, people: list[PersonView]) -> None:
+        """Send who may label here, and where they are."""
+        self._send(PeopleEvent(people=people))
 
     def send_health(self, health: Health) -> None:
         """Send what is known about the label file."""
@@ -134,15 +205,31 @@ class AnnotatorPage:
         """Send the changed entries of the list of frames."""
         self._send(messages.FrameListEvent(frames=frames))
 
+    def send_tracks(self, rows: Sequence[TrackRow], frames: Sequence[TrackFrame] = ()) -> None:
+        """Send rows and frames of the view "Tracks", if the page has asked for them."""
+        self._tracks.send_rows(rows, frames)
+
     def receive(self, request: protocol.Request) -> None:
+        role = self._shared.role_of(self.person)
+        if role is None:
+            raise RefusedError("not_saved", f"{self.person}'s access was ended; ask to be invited")
+        if role == "look" and isinstance(request, CHANGING):
+            raise RefusedError("invalid", "you may look at these labels, and not change them")
+        if role != "review" and needs_review(request):
+            raise RefusedError("invalid", "only who reviews accepts, sends back and assigns frames")
         self._handle(request)
 
     def close(self) -> None:
         self._shared.forget(self)
-        self._shared.scene_thread.submit(self._close_scene)
+        self._shared.people_changed()
+        self._scene.close()
 
     def _shown_frame(self) -> LabelledFrameView:
         return self._session.frame(self._frame, self._second)
+
+    def _redraw(self) -> None:
+        """Draw the scene in the background; the latest state wins."""
+        self._scene.redraw(self._frame)
 
     # -- requests
 
@@ -151,6 +238,7 @@ class AnnotatorPage:
         with self._shared.lock:
             frame = self._session.frame(request.frame, request.second)
             self._frame, self._second = request.frame, request.second
+            self._shared.people_changed()
             self._send(messages.LabelledFrameEvent(reply_to=request.id, frame=frame))
         self._session.images.prefetch(request.frame)
         self._redraw()
@@ -162,8 +250,8 @@ class AnnotatorPage:
         with self._shared.lock:
             preview = self._session.preview(draft)
         self._send(messages.DraftPreviewEvent(reply_to=request.id, preview=preview))
-        if self._selected != draft.selected_id:
-            self._selected = draft.selected_id
+        if self._scene.selected != draft.selected_id:
+            self._scene.selected = draft.selected_id
             self._redraw()
 
     @protocol.handles(messages.ApplyEditRequest)
@@ -188,20 +276,24 @@ class AnnotatorPage:
                 )
 
     def _save_edit(self, request: messages.ApplyEditRequest) -> None:
-        stepped = self._shared.pose_steps.step(request.edit, request.id, self._session)
+        steps = self._shared.pose_steps
+        stepped = steps.step(request.edit, request.id, self._session, self.author)
         if stepped is not None:
             self._send_pose_step(request.id, stepped)
             return
-        saved = self._session.apply(request.id, request.edit, request.base)
+        saved = self._session.apply(request.id, request.edit, request.base, self.author)
         number = saved.operation.number
         self._send(messages.SavedOperationEvent(reply_to=request.id, operation=number))
         if saved.operation.kind in ("undo", "redo") and saved.frame is not None:
             self._frame = saved.frame
         labels = self._session.updates()
-        self._send_saved(request.id, saved, labels)
+        mine, self._waiting = self._own(self._with_waiting(labels)), None
+        self._send_saved(request.id, saved, mine)
+        rows = self._session.tracks.changed()
         for page in self._shared.pages:
+            page.send_tracks(rows)
             if page is not self:
-                page.send_update(labels)
+                page.queue_update(labels)
 
     def _send_pose_step(self, request_id: str, text: str) -> None:
         """Confirm that a choice of poses was undone or redone, and use the poses of now."""
@@ -210,7 +302,7 @@ class AnnotatorPage:
         self._send(
             messages.EditSavedEvent(
                 reply_to=request_id,
-                labels=self._session.updates(),
+                labels=self._own(self._session.updates()),
                 frame=self._shown_frame(),
                 element=None,
                 added=0,
@@ -256,13 +348,15 @@ class AnnotatorPage:
         with self._shared.lock:
             review = self._session.review(request)
         elements = review.entry.elements if review.entry else ()
-        self._reviewed = frozenset(element.id for element in elements if element.id is not None)
+        self._scene.reviewed = frozenset(
+            element.id for element in elements if element.id is not None
+        )
         self._send(messages.ReviewEvent(reply_to=request.id, review=review))
         self._redraw()
 
     @protocol.handles(messages.CloseReviewRequest)
     def _close_review(self, request: messages.CloseReviewRequest) -> None:
-        self._reviewed = frozenset()
+        self._scene.reviewed = frozenset()
         self._send(messages.ReviewEvent(reply_to=request.id, review=None))
         self._redraw()
 
@@ -273,7 +367,7 @@ class AnnotatorPage:
             self._session.map_work.build()
             labels = self._session.updates()
             for page in self._shared.pages:
-                page.send_update(labels)
+                page.queue_update(labels)
 
     @protocol.handles(messages.StopMapBuildRequest)
     def _stop_map_build(self, request: messages.StopMapBuildRequest) -> None:
@@ -282,7 +376,7 @@ class AnnotatorPage:
 
     @protocol.handles(protocol.SetThemeRequest)
     def _set_theme(self, request: protocol.SetThemeRequest) -> None:
-        self._theme = request.theme
+        self._scene.theme = request.theme
         self._redraw()
 
     @protocol.handles(protocol.SetBackdropRequest)
@@ -290,7 +384,7 @@ class AnnotatorPage:
         session = self._session
         frame, frames = session.source.map_frame, session.frames.values()
         found = find_backdrop(session.workspace, frame, session.rig, frames)
-        self._backdrop, self._shows_backdrop = found.backdrop, request.shown
+        self._scene.backdrop = found.backdrop if request.shown else None
         available = found.backdrop is not None
         self._send(
             protocol.BackdropEvent(reply_to=request.id, available=available, note=found.note)
@@ -320,72 +414,6 @@ class AnnotatorPage:
             if self._frame == index:
                 self._send(messages.LabelledFrameEvent(frame=self._shown_frame()))
 
-    # -- the 3D scene
-
-    def _redraw(self) -> None:
-        """Draw the scene in the background; the latest state wins."""
-        if not self._redraw_queued.is_set():
-            self._redraw_queued.set()
-            self._shared.scene_thread.submit(self._draw)
-
-    def _drop_scene(self) -> None:
-        """Draw the scene from nothing: its trajectory is that of other poses."""
-        self._scene = None
-        self._shared.scenes.close(self._id)
-
-    def _close_scene(self) -> None:
-        self._closed = True
-        self._shared.scenes.close(self._id)
-
-    def _draw(self) -> None:
-        if self._closed:  # the page closed while another's edit was sent to all
-            return
-        self._redraw_queued.clear()
-        with self._shared.lock:
-            shown = self._shown()
-        if self._scene is None:
-            self._scene = self._new_scene()
-            self._send(protocol.SceneEvent())
-        self._scene.show(shown)
-        self._scene.set_theme(self._theme)
-        self._scene.show_backdrop(self._backdrop, self._shows_backdrop)
-
-    def _shown(self) -> Shown:
-        labels = self._session.labels
-        ids = [self._selected or "", *sorted(self._reviewed)]
-        marked = [labels.elements[id_] for id_ in ids if id_ in labels.elements]
-        tracks = self._session.scene.open_tracks(ids)
-        names = [label_element_name(element, self._session.classes) for element in marked]
-        names += [track.name for _, track in tracks]
-        return Shown(
-            elements=self._session.scene.elements(),
-            T_map_camera=self._session.frames[self._frame].T_map_camera,
-            tracks=self._session.scene.tracks(),
-            marked=frozenset(element.number for element in marked),
-            marked_tracks=frozenset(place for place, _ in tracks),
-            name=names[0] if names else "",
-        )
-
-    def _new_scene(self) -> AnnotatorScene:
-        poses = [frame.T_map_camera for frame in self._session.frames.values()]
-        centers = [pose.translation for pose in poses if pose is not None]
-        return AnnotatorScene(
-            self._shared.scenes.scene(self._id),
-            np.array(centers).reshape(-1, 3),
-            self._session.rig.left,
-            self._session.classes,
-            self._clicked,
-        )
-
-    def _clicked(self, kind: str, number: int) -> None:
-        if kind == "track":
-            track = self._session.scene.track_at(number)
-            self._send(messages.ElementClickedEvent(element=track.id, is_track=True))
-            return
-        for element in self._session.labels.elements.values():
-            if element.number == number:
-                self._send(messages.ElementClickedEvent(element=element.id, is_track=False))
-
 
 def _conflict(error: ConflictError, request_id: str) -> messages.ConflictEvent:
     """The refusal of an edit that would overwrite what others did."""
@@ -411,4 +439,11 @@ def same_place(error: SamePlaceError, request_id: str) -> messages.SamePlaceEven
     )
 
 
-HANDLERS = protocol.Handlers(messages.AnnotatorRequest, AnnotatorPage, PoseRequests, DriveRequests)
+HANDLERS = protocol.Handlers(
+    messages.AnnotatorRequest,
+    AnnotatorPage,
+    PoseRequests,
+    DriveRequests,
+    TrackRequests,
+    TeamRequests,
+)

@@ -15,7 +15,14 @@ from semviz.annotator.detection_tracks import DetectionTracks, OpenTracks
 from semviz.annotator.detector_proposals import DetectorMatch
 from semviz.annotator.image_worker import ImageWorker
 from semviz.annotator.panes import Cameras, Pane, Panes
-from semviz.annotator.proposals import DETECTED_PX, Expected, ImageQuery, LabelProposal
+from semviz.annotator.proposals import (
+    DETECTED_PX,
+    CorrespondenceQuery,
+    Expected,
+    ImageQuery,
+    LabelProposal,
+    PropagationQuery,
+)
 from semviz.annotator.proposals import label_proposals as element_proposals
 from semviz.annotator.rejected_proposals import RejectedProposals, is_left_out, is_on_tracks
 from semviz_annotation.assist.marked_image import Mark
@@ -152,6 +159,11 @@ def _is_duplicate(first: LabelProposal, second: LabelProposal) -> bool:
     return both_searched and alike
 
 
+def _is_expected(proposal: LabelProposal) -> bool:
+    """Whether the position of an element says where an image shows it."""
+    return isinstance(proposal.query, PropagationQuery | CorrespondenceQuery)
+
+
 NO_TRACKS = OpenTracks(DetectionTracks())
 CACHED_FRAMES = 256
 """Frames whose detector matches are cached."""
@@ -203,30 +215,44 @@ class ProposalSelection:
         """Return the frame's queries that the image worker has not processed."""
         return self._image_worker.pending(self._geometry(frame_index, labels).proposals)
 
+    def queries_of(self, element_id: str, frame_index: int, labels: Labels) -> list[ImageQuery]:
+        """Return those of the frame's queries that are about one element."""
+        proposals = self._geometry(frame_index, labels).proposals
+        return self._image_worker.pending(
+            proposal for proposal in proposals if proposal.element_id == element_id
+        )
+
     def nearby(self, frame_index: int, labels: Labels) -> tuple[NearbyElement, ...]:
         """Return elements that are labelled in near frames, but have no position yet."""
         return self._geometry(frame_index, labels).nearby
 
     def survey(
         self, frame_index: int, labels: Labels
-    ) -> tuple[int, detector_proposals.Disagreement | None]:
-        """Return the number of elements proposed by geometry or detector, and the disagreement of
-        detector and labels; None if no detector processed the frame."""
+    ) -> tuple[int, tuple[tuple[str, Side], ...], detector_proposals.Disagreement | None]:
+        """Return the number of elements proposed by geometry or detector, those of known position
+        by id and image, and the disagreement of detector and labels; None if no detector processed
+        the frame."""
         self._follow_map()
         geometry = self._computed(frame_index, labels)
         proposals = [proposal for proposal in geometry.proposals if not proposal.is_rejected]
         count = len({proposal.element_id for proposal in proposals if proposal.origin != "match"})
+        expected = tuple(
+            (proposal.element_id, proposal.pane.side)
+            for proposal in proposals
+            if proposal.pane.frame_index == frame_index and _is_expected(proposal)
+        )
         shown = [
             pane for pane in self._panes.of(frame_index).values() if pane.frame_index == frame_index
         ]
         processed = detector_proposals.processed_panes(shown, self._detected)
         if not processed:
-            return count, None
+            return count, expected, None
         contents = detector_proposals.labelled_content(
             processed, geometry.projections, labels, self._depth_m(frame_index, labels)
         )
         matches = self._open_matches(frame_index, labels)
-        return count, detector_proposals.disagreement(processed, matches, contents, labels)
+        disagreement = detector_proposals.disagreement(processed, matches, contents, labels)
+        return count, expected, disagreement
 
     def _depth_m(self, frame_index: int, labels: Labels) -> Callable[[str], float]:
         """The depth of mapped elements in a frame's left camera; 0 if it is unknown."""

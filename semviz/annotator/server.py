@@ -13,11 +13,14 @@ from aiohttp import web
 
 from semviz.annotator.drive_requests import PoseUndo
 from semviz.annotator.page_session import HANDLERS, AnnotatorPage
+from semviz.annotator.people_view import PersonView, people_views
 from semviz.annotator.pose_views import PoseWork
 from semviz.annotator.session import LabelSession
+from semviz.annotator.track_rows import TrackRow
 from semviz.annotator.views import FrameSummary
 from semviz.web.sessions import Send, Sessions
 from semviz.web.viser_servers import ViserServers
+from semviz.workspace.people import People, Role
 from semviz.workspace.settings import login_name
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.assist.snap import warm_up
@@ -26,8 +29,14 @@ from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError
 
 PAGE = Path(__file__).parent / "page"
+FLUSH_EVERY_S = 0.05
+FLUSH_PAGE_S = 0.02
+"""Shortest time between two updates of a page by the edits of others; the second for each page
+that is open. With thirty pages that is two thirds of a second, in which edits are gathered."""
 POLL_EVERY_S = 1.0
 """How often to check for changes of other processes: one query."""
+SEND_EVERY_S = 0.5
+"""How often to send what was analyzed."""
 ANALYZE_S = 0.005
 """Longest time that background analysis may delay an edit."""
 PAUSE_S = 0.01
@@ -48,6 +57,10 @@ class Annotator:
         self.search_thread = ThreadPoolExecutor(1, "semviz-search")
         self._pages: list[AnnotatorPage] = []
         self._closing = threading.Event()
+        self.people = People(workspace.path)
+        self.updates_queued = threading.Event()
+        self._people_changed = threading.Event()
+        self._sent_people: list[PersonView] = []
         self._sent_health: Health | None = None
         self.session.map_work.refresh()
         self.pose_work = PoseWork(workspace, lambda: self.session.labels)
@@ -60,6 +73,8 @@ class Annotator:
         self._analyzer.start()
         # on a new machine the code of a snap is compiled, which the first click must not wait for
         threading.Thread(target=warm_up, name="semviz-warm-up", daemon=True).start()
+        self._flusher = threading.Thread(target=self._flush, name="semviz-flush", daemon=True)
+        self._flusher.start()
         self._sessions = Sessions(self._open, HANDLERS.decode)
 
     @property
@@ -73,10 +88,21 @@ class Annotator:
     def forget(self, page: AnnotatorPage) -> None:
         self._pages.remove(page)
 
+    def role_of(self, person: str) -> Role | None:
+        if not person:
+            return "review"
+        known = self.people.by_name().get(person)
+        return None if known is None else known.role
+
+    def people_changed(self) -> None:
+        self._people_changed.set()
+
     def close(self) -> None:
         """Stop the threads and close the label file."""
         self._closing.set()
+        self.updates_queued.set()
         self._poller.join()
+        self._flusher.join()
         self._analyzer.join()
         self.pose_work.close()
         self.scene_thread.shutdown(wait=True, cancel_futures=True)
@@ -107,8 +133,8 @@ class Annotator:
             *self._sessions.routes(),
         ]
 
-    def _open(self, session_id: str, send: Send) -> AnnotatorPage:
-        page = AnnotatorPage(session_id, send, self)
+    def _open(self, session_id: str, send: Send, person: str = "") -> AnnotatorPage:
+        page = AnnotatorPage(session_id, send, self, person)
         self._pages.append(page)
         return page
 
@@ -118,9 +144,37 @@ class Annotator:
             with self.lock:
                 self.session.map_work.refresh()
             self._send_health()
+            self._follow_people()
             self._follow_poses()
             with contextlib.suppress(sqlite3.Error, LabelFileError):  # the pages know it
                 self._send_updates()
+
+    def _flush(self) -> None:
+        """Send updates page by page, so that edits come between; many edits are one update."""
+        while not self._closing.is_set():
+            self.updates_queued.wait()
+            self.updates_queued.clear()
+            for page in self.pages:
+                with contextlib.suppress(sqlite3.Error, LabelFileError), self.lock:
+                    page.send_update()
+            self._closing.wait(FLUSH_EVERY_S + FLUSH_PAGE_S * len(self._pages))
+
+    def _follow_people(self) -> None:
+        """Tell all pages who is where, and end the sessions of those who may no longer enter."""
+        try:
+            people = self.people.by_name()
+        except SemvizError:  # damaged: nobody enters, and who is asked says so
+            return
+        for person in {page.person for page in self.pages} - {"", *people}:
+            self._sessions.end_of(person)
+        pages = [(page.author, page.frame) for page in self.pages]
+        views = people_views(people, self.session.author, pages)
+        if views == self._sent_people and not self._people_changed.is_set():
+            return
+        self._people_changed.clear()
+        self._sent_people = views
+        for page in self.pages:
+            page.send_people(views)
 
     def _send_health(self) -> None:
         health = self.session.health()
@@ -142,22 +196,30 @@ class Annotator:
     def _analyze(self) -> None:
         """Analyze all frames, a few at a time, because edits come first."""
         frames: list[FrameSummary] = []
+        rows: list[TrackRow] = []
         done, sent = True, time.monotonic()
         while not self._closing.wait(POLL_EVERY_S if done else PAUSE_S):
             with contextlib.suppress(sqlite3.Error, LabelFileError), self.lock:
-                analyzed, done = self.session.analyze(ANALYZE_S)
-                frames += analyzed
-            if frames and (done or time.monotonic() > sent + POLL_EVERY_S):
+                analyzed = self.session.analyze(ANALYZE_S)
+                done = analyzed.is_done
+                frames += analyzed.frames
+                rows += analyzed.rows
+            if (frames or rows) and (done or time.monotonic() > sent + SEND_EVERY_S):
+                with self.lock:
+                    expected = self.session.tracks.frames([frame.index for frame in frames])
                 for page in self.pages:
+                    page.send_tracks(rows, expected)
                     page.send_frame_list(frames)
-                frames, sent = [], time.monotonic()
+                frames, rows, sent = [], [], time.monotonic()
 
     def _send_updates(self) -> None:
         with self.lock:
             if self._pages and self.session.has_updates():
                 labels = self.session.updates()
+                rows = self.session.tracks.changed()
                 for page in self.pages:
-                    page.send_update(labels)
+                    page.send_tracks(rows)
+                    page.queue_update(labels)
 
     async def _index(self, request: web.Request) -> web.FileResponse:
         return web.FileResponse(PAGE / "index.html")

@@ -1,15 +1,15 @@
-"""The labels of one workspace, edited by one author, without any web code.
+"""The labels of one workspace, edited by several people, without any web code.
 
 An edit is on disk when its method returns. One thread at a time; the images, the image worker
 and the map review may be used by any thread.
 """
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache, partial
 
-from semviz.annotator import draft, messages, track_edits, views
+from semviz.annotator import draft, messages, operation_texts, track_edits, track_messages, views
 from semviz.annotator.association import (
     DraftAssociation,
     LabelBelow,
@@ -30,8 +30,13 @@ from semviz.annotator.proposal_selection import ProposalSelection
 from semviz.annotator.proposal_views import proposal_views
 from semviz.annotator.proposals import ImageQuery, inside
 from semviz.annotator.scene_view import SceneElements
+from semviz.annotator.session_results import Analyzed, SavedEdit, Write
+from semviz.annotator.session_tracks import SessionTracks
+from semviz.annotator.team_view import TeamWork
+from semviz.annotator.track_rows import TrackRows
 from semviz.annotator.views import FrameSummary, LabelsView, WorkspaceView
 from semviz.web.protocol import RefusedError
+from semviz.workspace.people import Role
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.assist.marked_image import Mark
 from semviz_annotation.labels import edits
@@ -46,26 +51,8 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.rig_cameras import cameras_by_frame
 
 
-@dataclass(frozen=True)
-class SavedEdit:
-    """An edit that is on disk."""
-
-    operation: Operation
-    element_id: str | None
-    """The element to which a drawing, link or unlinked view now belongs; None for other edits."""
-    frame: int | None
-    """The frame it changed, if in this sequence; the page goes there after an undo."""
-    added: int = 0
-    """Number of observations added; negative for removed ones."""
-    note: str = ""
-    """Message for the user."""
-
-
 class LabelSession:
-    """The labels of one workspace, edited by one author. One thread at a time.
-
-    Any thread may use ``images``, ``image_worker`` and ``map_work``.
-    """
+    """The labels of one workspace; see the module about threads."""
 
     def __init__(self, workspace: Workspace, author: str) -> None:
         self.workspace = workspace
@@ -109,6 +96,16 @@ class LabelSession:
         )
         self._quality = FrameQuality(tuple(self.frames), self._positions, self._selection)
         self.history = HistoryView(self._store, self._panes, self.frames, self.classes)
+        self.tracks = SessionTracks(
+            self._store,
+            TrackRows(tuple(self.frames), self._positions, self._quality, self.classes),
+            self._reviews.tracks,
+            self._selection,
+            self._panes,
+            cameras,
+            self.image_worker,
+        )
+        self.team = TeamWork(self._store, self._quality, self.classes, tuple(self.frames))
         self.scene = SceneElements(lambda: self.labels, self._positions, self._reviews.tracks)
         self._feed = UpdateFeed(self._store, self.classes, self._quality)
         self._sent_map_version = self.map_work.version
@@ -130,9 +127,10 @@ class LabelSession:
         """Return what is known about the label file; any thread may call it."""
         return self._store.health()
 
-    def describe(self) -> WorkspaceView:
-        """Return what does not change while the page is open."""
-        return views.workspace_view(self.workspace, self.author, self._triangle_center)
+    def describe(self, author: str | None = None, role: Role = "review") -> WorkspaceView:
+        """Return what does not change while the page of ``author`` is open."""
+        author = author or self.author
+        return views.workspace_view(self.workspace, author, role, self._triangle_center)
 
     def summary(self) -> LabelsView:
         """Return the state of the labels and all frames, without the marks of a frame."""
@@ -153,18 +151,16 @@ class LabelSession:
         self._sent_positions_version = self._positions.version
         return view
 
-    def analyze(self, seconds: float) -> tuple[list[FrameSummary], bool]:
-        """Analyze elements, then frames, for that long. Return the analyzed frames, and whether all
-        is up to date.
-
-        Call it repeatedly in the background.
-        """
+    def analyze(self, seconds: float) -> Analyzed:
+        """Analyze tracks, elements, then frames, for that long; call it repeatedly."""
         labels = self.labels
+        if rows := self.tracks.changed(seconds):  # somebody looks at them
+            return Analyzed((), tuple(rows), False)
         if not self._positions.update(labels, seconds):
-            return [], False
+            return Analyzed((), (), False)
         self._complete_version = self._positions.version
         frames, done = self._quality.update(labels, seconds)
-        return self._summaries(labels, frames), done
+        return Analyzed(tuple(self._summaries(labels, frames)), (), done)
 
     def frame(self, index: int, second: SecondImage | None = None) -> draft.LabelledFrameView:
         """Return the labels and proposals of a frame, and the elements that may continue in it."""
@@ -188,6 +184,10 @@ class LabelSession:
             is_searching=bool(self._selection.pending_queries(index, labels)),
         )
 
+    def is_near(self, index: int, changed: Sequence[int]) -> bool:
+        """Return whether changes of these frames may show in a frame; so may those of none."""
+        return not changed or self._quality.is_near(index, changed)
+
     def review(self, request: messages.ShowReviewRequest) -> ReviewEntry:
         """Return a decision of the last map, or a finding in it; see ``Reviews.entry``."""
         return self._reviews.entry(
@@ -207,43 +207,51 @@ class LabelSession:
     # -- editing
 
     def apply(
-        self, request_id: str, edit: messages.PageEdit, base: EditBase | None = None
+        self,
+        request_id: str,
+        edit: messages.PageEdit,
+        base: EditBase | None = None,
+        author: str | None = None,
     ) -> SavedEdit:
-        """Apply an edit; it is on disk when this returns. ``base``: what the page had shown.
+        """Apply an edit of ``author``; it is on disk when this returns. ``base``: what the page had
+        shown.
 
         A request that is sent twice is applied once. Raise SemvizError if the edit is invalid,
         ConflictError if it overwrites what the page had not shown, and LabelFileError if it cannot
         be written.
         """
         self._store.check_triangles(self._triangle_center)
+        author = author or self.author
+        write = partial(self._store.apply, author=author, request_id=request_id, base=base)
         match edit:
             case messages.UndoEdit():
-                return self._saved(self._store.undo(self.author, request_id, base=base))
+                return self._saved(self._store.undo(author, request_id, base=base))
             case messages.RedoEdit():
-                return self._saved(self._store.redo(self.author, request_id, base))
+                return self._saved(self._store.redo(author, request_id, base))
             case messages.DrawEdit():
-                return self._draw(request_id, edit, base)
+                return self._draw(edit, write)
             case messages.NameEdit():
-                return self._saved(self._store.name_state(edit.name, self.author, request_id))
+                return self._saved(self._store.name_state(edit.name, author, request_id))
             case messages.RestoreEdit():
-                return self._saved(self._store.restore(edit.number, self.author, request_id, base))
+                return self._saved(self._store.restore(edit.number, author, request_id, base))
+            case track_messages.NoteEdit():
+                return self._saved(write(edit.note(author)))
             case messages.AcceptEdit():
-                return self._accept(request_id, edit.marks, base)
+                return self._accept(edit.marks, write)
             case (
                 track_edits.AcceptTracksEdit()
                 | track_edits.RejectTracksEdit()
                 | track_edits.AcceptSureTracksEdit()
             ):
-                return self._decide_tracks(request_id, edit, base)
+                return self._decide_tracks(edit, write)
             case track_edits.AlignLabelsEdit():
                 aligner = self._aligner(self.labels, self._panes.of(edit.frame_index))
                 aligned = aligner.edit(edit.element_id)
-                operation = self._store.apply(aligned, self.author, request_id, base=base)
-                return replace(self._saved(operation), note=aligned.note)
+                return replace(self._saved(write(aligned)), note=aligned.note)
             case _:
-                return self._saved(self._store.apply(edit, self.author, request_id, base=base))
+                return self._saved(write(edit))
 
-    def _draw(self, request_id: str, edit: messages.DrawEdit, base: EditBase | None) -> SavedEdit:
+    def _draw(self, edit: messages.DrawEdit, write: Write) -> SavedEdit:
         """Add an observation, of the element it belongs to or of a new one."""
         selected = SelectedElement.of(edit.selected_id, edit.is_chosen)
         addition, note = self._addition(edit, selected, edit.snap, edit.asks_bottom)
@@ -254,12 +262,9 @@ class LabelSession:
             drawn = mark.at(addition.frame_index, addition.side)
             if below := self._below(drawn, edit.class_id):
                 raise SamePlaceError(drawn, below)
-        operation = self._store.apply(addition, self.author, request_id, base=base)
-        return replace(self._saved(operation), note=note)
+        return replace(self._saved(write(addition)), note=note)
 
-    def _accept(
-        self, request_id: str, marks: Iterable[messages.DrawnMark], base: EditBase | None
-    ) -> SavedEdit:
+    def _accept(self, marks: Iterable[messages.DrawnMark], write: Write) -> SavedEdit:
         """Accept proposals as shown on the page: each like a drawing, all or none."""
         by_element: dict[str, list[messages.DrawnMark]] = defaultdict(list)
         for mark in marks:
@@ -267,8 +272,7 @@ class LabelSession:
         added = tuple(
             addition for group in by_element.values() for addition in self._additions(group)
         )
-        operation = self._store.apply(edits.AddMany(added), self.author, request_id, base=base)
-        return self._saved(operation)
+        return self._saved(write(edits.AddMany(added)))
 
     def _additions(self, marks: list[messages.DrawnMark]) -> Iterator[edits.AddObservation]:
         """Add the marks of one element; those of a new element join another if all of them do."""
@@ -284,13 +288,11 @@ class LabelSession:
             first = is_new and n == 0  # creates the element
             yield replace(addition, element_id=element_id, class_id=class_id if first else None)
 
-    def _decide_tracks(
-        self, request_id: str, edit: track_edits.PageTrackEdit, base: EditBase | None
-    ) -> SavedEdit:
+    def _decide_tracks(self, edit: track_edits.PageTrackEdit, write: Write) -> SavedEdit:
         """Accept or reject tracks of the last map, all or none."""
         self.map_work.wait_for_first()
         decision = track_edits.track_edit(edit, self._reviews.tracks())
-        return self._saved(self._store.apply(decision, self.author, request_id, base=base))
+        return self._saved(write(decision))
 
     def _addition(
         self,
@@ -338,13 +340,13 @@ class LabelSession:
         rows = [change.after for change in operation.changes]
         element_ids = [row.element_id for row in rows if isinstance(row, Observation)]
         has_element = element_ids and operation.kind in ("add", "link", "unlink")
-        frame = views.frame_of(operation, self.labels)
+        frame = operation_texts.frame_of(operation, self.labels)
         return SavedEdit(
             operation=operation,
             element_id=element_ids[0] if has_element else None,
             frame=frame if frame in self.frames else None,
-            added=views.observations_added(operation),
-            note=views.note_on(operation, self.labels, self.classes),
+            added=operation_texts.observations_added(operation),
+            note=operation_texts.note_on(operation, self.labels, self.classes),
         )
 
     # -- drafts
@@ -432,9 +434,8 @@ class LabelSession:
             hash=self._feed.end.hash,
             counts=views.class_counts(labels),
             mapped=len(self.scene.elements()),
-            can_undo=self._store.undoable(self.author) is not None
-            or self.history.undoes_poses(self.choices, self.author),
-            can_redo=self._store.redoable(self.author) is not None,
+            can_undo=self.history.can_undo(self.author, self.choices),
+            can_redo=self.history.can_redo(self.author),
             history=history,
             map=self._reviews.summary(labels),
             frames=self._summaries(labels, frames),

@@ -3,10 +3,10 @@
 import os
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from tyro.conf import FlagCreatePairsOff, Positional
 
@@ -16,6 +16,7 @@ from semviz_core.common.errors import SemvizError
 if TYPE_CHECKING:
     from semviz.web.tool import Tool
 
+Role: TypeAlias = Literal["annotate", "review", "look"]
 TOKEN_VARIABLE = "SEMVIZ_TOKEN"
 
 
@@ -40,8 +41,17 @@ class AnnotateCommand:
     """Serve without a token: all users of this machine can open the page. Loopback only."""
     open: bool = True
     """Open the page in the browser."""
+    invite: parsing.OptionalText = None
+    """Instead of opening: make a token for a person, and print the address to send. Works while
+    semviz annotate runs."""
+    role: Role = "annotate"
+    """Of who is invited: annotate; review, which may annotate, too; or look."""
+    revoke: parsing.OptionalText = None
+    """Instead of opening: end the access of a person, at once."""
 
     def run(self) -> int:
+        if self.invite is not None or self.revoke is not None:
+            return self._change_people()
         from semviz.annotator.server import Annotator
         from semviz.presentation.terminal import announce_compiling
         from semviz.workspace.demo import ensure_demo
@@ -55,7 +65,33 @@ class AnnotateCommand:
                 "another than that of the labels, and their height is not known; detect again",
                 file=sys.stderr,
             )
-        _serve(tool, self)
+        _serve(tool, self, tool.people.names_by_digest)
+        return 0
+
+    def _change_people(self) -> int:
+        from urllib.parse import quote
+
+        from semviz.workspace.people import People
+        from semviz.workspace.settings import login_name
+
+        if self.workspace is None:
+            raise SemvizError("say whose labels: semviz annotate WORKSPACE --invite NAME")
+        workspace = parsing.open_workspace(self.workspace)
+        author, people = self.author or login_name(), People(workspace.path)
+        if self.revoke is not None:
+            people.revoke(self.revoke)
+        elif self.invite == author:
+            raise SemvizError(f"'{author}' is your own name; the printed address is yours")
+        with workspace.open_labels() as store:
+            if self.revoke is not None:
+                store.state("revoke", self.revoke, author)
+                print(f"{self.revoke} can no longer enter.")
+                return 0
+            assert self.invite is not None
+            token = people.invite(self.invite, self.role)
+            store.state("invite", f"{self.invite} to {self.role}", author)
+        print(f"Send this address to {self.invite}; it is shown only now:")
+        print(f"http://{self.host}:{self.port}/?token={quote(token, safe='')}")
         return 0
 
 
@@ -113,13 +149,25 @@ def find_runs(paths: Iterable[Path]) -> tuple[Path, ...]:
     return tuple(runs)
 
 
-def _serve(tool: "Tool", command: AnnotateCommand | ServeCommand) -> None:
+def _serve(
+    tool: "Tool",
+    command: AnnotateCommand | ServeCommand,
+    guests: "Callable[[], Mapping[str, str]] | None" = None,
+) -> None:
+    from semviz.web.access import nobody
     from semviz.web.gateway import Gateway
 
     token = command.token
     if token is None and not command.no_token:
         token = os.environ.get(TOKEN_VARIABLE) or None
-    gateway = Gateway(tool, command.host, command.port, token, with_token=not command.no_token)
+    gateway = Gateway(
+        tool,
+        command.host,
+        command.port,
+        token,
+        with_token=not command.no_token,
+        guests=guests or nobody,
+    )
     gateway.run(open_browser=command.open)
 
 

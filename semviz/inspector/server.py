@@ -68,7 +68,7 @@ class Inspector:
         """Close the annotators that were opened."""
         self._annotators.close()
 
-    def _session(self, session_id: str, send: Send) -> "InspectorSession":
+    def _session(self, session_id: str, send: Send, _: str) -> "InspectorSession":
         return InspectorSession(session_id, self._library, self._annotators, self.scenes, send)
 
     async def _page(self, _: web.Request) -> web.FileResponse:

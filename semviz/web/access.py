@@ -6,11 +6,13 @@ do not know the token. It comes once in the address and then lives in a cookie.
 """
 
 import errno
+import hashlib
 import hmac
 import ipaddress
 import logging
 import socket
 import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
@@ -18,6 +20,8 @@ from aiohttp import hdrs, web
 from aiohttp.http_exceptions import HttpProcessingError
 from aiohttp.typedefs import Handler, Middleware
 
+PERSON: web.RequestKey[str] = web.RequestKey("person", str)
+"""Name of the guest who sends a request; empty for who has the gateway's own token."""
 SAFE_METHODS = frozenset({"GET", "HEAD"})
 SAY_AGAIN_S = 60.0
 """The same refusal is logged once in this time: a page left open tries again every few seconds."""
@@ -44,15 +48,25 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+def nobody() -> Mapping[str, str]:
+    """The guests of a gateway that has none."""
+    return {}
+
+
 @dataclass(frozen=True)
 class AccessPolicy:
-    """Refuses requests of other sites, and requests without the token."""
+    """Refuses requests of other sites, and requests without a token.
+
+    There is the gateway's own token, and one of each guest.
+    """
 
     local: bool
     """Whether the gateway is bound to loopback: only loopback names are valid hosts."""
     token: str | None
     port: int
     """Browsers send a host's cookies to all its ports: name and value of ours depend on it."""
+    guests: Callable[[], Mapping[str, str]] = nobody
+    """Names of guests by the SHA-256 of their tokens, asked for at each request."""
     _logged: dict[str, float] = field(default_factory=dict, compare=False)
 
     def middleware(self) -> Middleware:
@@ -64,8 +78,9 @@ class AccessPolicy:
             if refusal:
                 self._log(request, refusal)
                 return web.Response(status=403, text=f"403: {refusal}\n")
+            request[PERSON] = person = self._person(request) or ""
             if self.token is not None and "token" in request.query and _is_page(request):
-                return self._admitted(request)
+                return self._admitted(request, person)
             try:
                 return await handler(request)
             except OSError as error:
@@ -88,7 +103,7 @@ class AccessPolicy:
             return "requests from other sites are refused"
         if _is_embedded_elsewhere(request):
             return "requests from other sites are refused"
-        if self.token is not None and not self._has_token(request):
+        if self._person(request) is None:
             return "the token is missing or old; open the whole address that the terminal shows"
         return None
 
@@ -97,10 +112,10 @@ class AccessPolicy:
         """Name of the cookie that admits a browser."""
         return f"semviz-{self.port}"
 
-    @property
-    def cookie_value(self) -> str:
-        """Derived from the token, so that a cookie read by another port does not reveal it."""
-        return hmac.new(_bytes(self.token or ""), self.cookie.encode(), "sha256").hexdigest()
+    def cookie_value(self, key: str) -> str:
+        """Return the cookie for a key: the token, or the digest of a guest's. It reveals neither
+        to another port that reads it."""
+        return hmac.new(_bytes(key), self.cookie.encode(), "sha256").hexdigest()
 
     def _is_ours(self, host: str) -> bool:
         """Whether a host is this server, whatever the port: ssh -L may change the port."""
@@ -114,13 +129,20 @@ class AccessPolicy:
             return False
         return _is_address(name) or name in {socket.gethostname().lower(), socket.getfqdn().lower()}
 
-    def _has_token(self, request: web.Request) -> bool:
-        cookie = request.cookies.get(self.cookie, "")
-        return _same(request.query.get("token", ""), self.token or "") or _same(
-            cookie, self.cookie_value
-        )
+    def _person(self, request: web.Request) -> str | None:
+        """Return the guest who sends a request, "" for who has the token; None for a stranger."""
+        if self.token is None:
+            return ""
+        given, cookie = request.query.get("token"), request.cookies.get(self.cookie, "")
+        keys = {self.token: "", **self.guests()}
+        if given is not None:
+            digest = hashlib.sha256(_bytes(given)).hexdigest()
+            named = [name for key, name in keys.items() if _same(key, digest if name else given)]
+        if given is None or not named:
+            named = [name for key, name in keys.items() if _same(cookie, self.cookie_value(key))]
+        return named[0] if named else None
 
-    def _admitted(self, request: web.Request) -> web.Response:
+    def _admitted(self, request: web.Request, person: str) -> web.Response:
         """Move the token from the URL into a cookie, which keeps it out of history and logs.
 
         Lax, not Strict: a report or a mail may link to a frame, and the browser opens the first
@@ -130,7 +152,9 @@ class AccessPolicy:
         rest = request.rel_url.without_query_params("token")
         path = "/" + str(rest).lstrip("/")  # "//name/" would lead to another site
         response = web.Response(status=303, headers={"Location": path})
-        response.set_cookie(self.cookie, self.cookie_value, path="/", httponly=True, samesite="Lax")
+        key = next((key for key, name in self.guests().items() if name == person), self.token or "")
+        value = self.cookie_value(key)
+        response.set_cookie(self.cookie, value, path="/", httponly=True, samesite="Lax")
         return response
 
     def _log(self, request: web.Request, refusal: str) -> None:

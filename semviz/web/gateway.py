@@ -18,14 +18,14 @@ import sys
 import tempfile
 import threading
 import webbrowser
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from urllib.parse import quote
 
 from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
-from semviz.web.access import AccessPolicy, add_headers, http_log, is_loopback
+from semviz.web.access import AccessPolicy, add_headers, http_log, is_loopback, nobody
 from semviz.web.sessions import close_sockets
 from semviz.web.tool import Tool, tool_application
 from semviz_core.common.errors import SemvizError
@@ -145,7 +145,8 @@ class Gateway:
     """Serves one tool on one port.
 
     ``port`` 0 chooses a free port. ``token`` None generates one; ``with_token`` False serves
-    without, on loopback only. Raise SemvizError for a busy port or an impossible host.
+    without, on loopback only. ``guests`` are names by the SHA-256 of their tokens. Raise
+    SemvizError for a busy port or an impossible host.
     """
 
     def __init__(
@@ -155,6 +156,7 @@ class Gateway:
         port: int = 0,
         token: str | None = None,
         with_token: bool = True,
+        guests: Callable[[], Mapping[str, str]] = nobody,
     ) -> None:
         if token == "":
             raise SemvizError("the token is empty; omit --token to generate one")
@@ -165,6 +167,7 @@ class Gateway:
         self._tool = tool
         self._host = host
         self._port = port
+        self._guests = guests
         self._token = (token or secrets.token_urlsafe(16)) if with_token else None
 
     def run(self, open_browser: bool = True) -> None:
@@ -198,7 +201,7 @@ class Gateway:
                 self._tool.scenes.close_all()
 
     def _app(self, port: int, admitting: Middleware) -> web.Application:
-        policy = AccessPolicy(is_loopback(self._host), self._token, port)
+        policy = AccessPolicy(is_loopback(self._host), self._token, port, self._guests)
         app = tool_application(self._tool, middlewares=[policy.middleware(), admitting])
         app.on_response_prepare.append(add_headers)
         app.on_shutdown.append(close_sockets)

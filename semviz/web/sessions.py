@@ -9,12 +9,13 @@ import contextlib
 import logging
 import secrets
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 from weakref import WeakSet
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from semviz.web import protocol
+from semviz.web.access import PERSON
 from semviz_core.common.errors import SemvizError
 
 OPEN_SOCKETS: web.AppKey[WeakSet[web.WebSocketResponse]] = web.AppKey("open_sockets", WeakSet)
@@ -47,6 +48,8 @@ MAX_REQUEST = 4 * 2**20
 
 Send = Callable[[protocol.Event], None]
 Decode = Callable[[str], protocol.Request]
+Outbox: TypeAlias = "asyncio.Queue[str | None]"
+"""Messages to a page; None closes its websocket."""
 
 
 class PageSession(Protocol):
@@ -73,8 +76,11 @@ class Sessions:
     disconnected page are dropped, because ``connected`` sends everything again.
     """
 
-    def __init__(self, make: Callable[[str, Send], PageSession], decode: Decode) -> None:
-        """``decode`` decodes a request of the tool, for example ``Handlers.decode``."""
+    def __init__(self, make: Callable[[str, Send, str], PageSession], decode: Decode) -> None:
+        """``make`` gets an id, ``send`` and the name of the guest, see ``access.PERSON``.
+
+        ``decode`` decodes a request of the tool, for example ``Handlers.decode``.
+        """
         self._make = make
         self._decode = decode
         self._connections: dict[str, _Connection] = {}
@@ -91,7 +97,7 @@ class Sessions:
             await socket.send_str(protocol.encode(protocol.error_event(error, None)))
             await socket.close(code=WSCloseCode.TRY_AGAIN_LATER)
             return socket
-        outbox: asyncio.Queue[str] = asyncio.Queue()
+        outbox: Outbox = asyncio.Queue()
         connection.outbox = outbox
         connection.keep()
         outbox.put_nowait(protocol.encode(protocol.HelloEvent(session=connection.id)))
@@ -111,17 +117,24 @@ class Sessions:
     async def _connection(self, request: web.Request) -> "_Connection":
         """Return the connection of a page. Raise RefusedError if its client has too many."""
         session_id, client = request.query.get("session", ""), request.remote or ""
+        person = request.get(PERSON, "")
         async with self._opening:
-            if session_id not in self._connections:
-                await self._make_room(client)
-                loop = asyncio.get_running_loop()
-                connection = _Connection(secrets.token_urlsafe(12), client, loop, self._decode)
-                connection.session = await asyncio.to_thread(
-                    self._make, connection.id, connection.send
-                )
-                self._connections[connection.id] = connection
-                return connection
-            return self._connections[session_id]
+            known = self._connections.get(session_id)
+            if known is not None and known.person == person:
+                return known
+            await self._make_room(client)
+            loop = asyncio.get_running_loop()
+            id_ = secrets.token_urlsafe(12)
+            connection = _Connection(id_, client, person, loop, self._decode)
+            connection.session = await asyncio.to_thread(self._make, id_, connection.send, person)
+            self._connections[id_] = connection
+            return connection
+
+    def end_of(self, person: str) -> None:
+        """End the sessions of a guest, from any thread: their pages cannot connect again."""
+        for connection in list(self._connections.values()):
+            if connection.person == person:
+                connection.loop.call_soon_threadsafe(connection.hang_up)
 
     async def _make_room(self, client: str) -> None:
         """End the client's session that waits longest for its page, if it has too many."""
@@ -150,16 +163,27 @@ class _Connection:
     session: PageSession
 
     def __init__(
-        self, session_id: str, client: str, loop: asyncio.AbstractEventLoop, decode: Decode
+        self,
+        session_id: str,
+        client: str,
+        person: str,
+        loop: asyncio.AbstractEventLoop,
+        decode: Decode,
     ) -> None:
         self.id = session_id
         self.client = client
-        self.outbox: asyncio.Queue[str] | None = None
+        self.person = person
+        self.loop = loop
+        self.outbox: Outbox | None = None
         self.end: asyncio.Task[None] | None = None
         """Ends the session, while its page is disconnected."""
-        self._loop = loop
         self._decode = decode
         self._turn = asyncio.Lock()
+
+    def hang_up(self) -> None:
+        """Close the websocket, after what was sent before."""
+        if self.outbox is not None:
+            self.outbox.put_nowait(None)
 
     def keep(self) -> None:
         """Do not end the session."""
@@ -170,7 +194,7 @@ class _Connection:
     def send(self, event: protocol.Event) -> None:
         text = protocol.encode(event)
         with contextlib.suppress(RuntimeError):  # the loop is closed: the tool stops
-            self._loop.call_soon_threadsafe(self._queue, text)
+            self.loop.call_soon_threadsafe(self._queue, text)
 
     def _queue(self, text: str) -> None:
         if self.outbox is not None:
@@ -197,9 +221,12 @@ class _Connection:
                 self.send(protocol.ErrorEvent(reply_to=request_id, code="internal", text=text))
 
 
-async def _write(socket: web.WebSocketResponse, outbox: "asyncio.Queue[str]") -> None:
+async def _write(socket: web.WebSocketResponse, outbox: Outbox) -> None:
     while True:
         text = await outbox.get()
+        if text is None:
+            await socket.close(code=WSCloseCode.POLICY_VIOLATION)
+            return
         try:
             await socket.send_str(text)
         except ConnectionError:

@@ -184,6 +184,7 @@ def without_decisions(known: LabelStore, tmp_path: Path) -> Path:
     backup_labels(known.path, path)
     with sqlite3.connect(path) as connection:
         connection.execute("DROP TABLE judgements")
+        connection.execute("DROP TABLE notes")
         connection.execute("PRAGMA user_version = 2")
     return path
 

@@ -283,7 +283,7 @@ def test_updates_follow_when_all_elements_are_triangulated(
     again = LabelSession(session.workspace, "tester")
     again.updates()
     assert (again.summary().mapped, again.has_updates()) == (0, False)
-    while not again.analyze(1.0)[1]:
+    while not again.analyze(1.0).is_done:
         pass
     assert again.has_updates()
     assert (again.updates().mapped, again.has_updates()) == (1, False)

@@ -2,6 +2,7 @@
 
 import json
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -434,7 +435,11 @@ def test_two_clients_see_the_same_open_tracks(workspace: Workspace, found: Found
         edit = {"type": "apply_edit", "id": new_id(), "edit": reject(found[FALSE])}
         pages["one"].receive(HANDLERS.decode(request_text(edit)))
         saved = next(event for event in events["one"] if event.type == "edit_saved")
-        update = [event for event in events["two"] if event.type == "update"][-1]
+        deadline = time.monotonic() + 30.0  # others are told a moment later
+        while not (updates := [event for event in events["two"] if event.type == "update"]):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        update = updates[-1]
         assert update.labels == saved.labels
         assert update.labels.map.tracks == len(found) - 1
         assert update.frame == saved.frame

@@ -215,6 +215,9 @@ def opened(tmp_path: Path) -> Any:
         search_thread=later,
         pose_steps=PoseUndo(),
         pages=[],
+        role_of=lambda _: "annotate",
+        people_changed=lambda: None,
+        updates_queued=threading.Event(),
     )
     page = AnnotatorPage("id", events.append, shared)
     yield SimpleNamespace(page=page, session=session, events=events)

@@ -2,7 +2,7 @@
 
 An edit computes its row changes from the state alone, without file or clock. An invalid edit
 raises SemvizError and changes nothing. Reviews of frames, dismissals of proposals, and review
-decisions for map building are defined here.
+decisions for map building, and notes are defined here.
 """
 
 import json
@@ -23,7 +23,9 @@ from semviz_annotation.labels.element_edits import (
     Link,
     MoveObservation,
     NewElement,
+    ReSnap,
     SetClass,
+    SetClassOfViews,
     SetKnown,
     SwapEnds,
     Unlink,
@@ -32,6 +34,7 @@ from semviz_annotation.labels.labels import Labels, ReviewState
 from semviz_core.common.errors import SemvizError
 
 __all__ = [
+    "AcceptFrame",
     "AddElements",
     "AddMany",
     "AddObservation",
@@ -39,18 +42,23 @@ __all__ = [
     "DecideElements",
     "DeleteElement",
     "DeleteMany",
+    "DeleteNote",
     "DeleteObservation",
     "Dismiss",
     "Edit",
     "Link",
     "MoveObservation",
     "NewElement",
+    "ReSnap",
     "ReviewFrame",
     "RevokeDecision",
+    "SendBackFrame",
     "SetClass",
+    "SetClassOfViews",
     "SetKnown",
     "SwapEnds",
     "Unlink",
+    "WriteNote",
     "edit_from_json",
     "edit_to_json",
     "first_fault",
@@ -78,6 +86,44 @@ class ReviewFrame:
         before = labels.reviews.get(self.frame_index)
         if before is not None or after is not None:
             yield rows.RowChange(before, after)
+
+
+@dataclass(frozen=True)
+class AcceptFrame:
+    """Accept the review of a frame as it is.
+
+    The row stays as it is, and the operation becomes its last writer: whoever reviews the frame
+    anew takes the acceptance away.
+    """
+
+    frame_index: rows.Index
+    kind: Literal["accept frame"] = "accept frame"
+
+    __pydantic_config__: ClassVar[ConfigDict] = rows.STRICT
+
+    def changes(self, labels: Labels, rules: rows.Rules) -> Iterator[rows.RowChange]:
+        yield rows.RowChange(*(_reviewed(self.frame_index, labels),) * 2)
+
+
+@dataclass(frozen=True)
+class SendBackFrame:
+    """Send a reviewed frame back to who labelled it: it is in work again."""
+
+    frame_index: rows.Index
+    kind: Literal["send back"] = "send back"
+
+    __pydantic_config__: ClassVar[ConfigDict] = rows.STRICT
+
+    def changes(self, labels: Labels, rules: rows.Rules) -> Iterator[rows.RowChange]:
+        before = _reviewed(self.frame_index, labels)
+        yield rows.RowChange(before, rows.Review(self.frame_index, "in work"))
+
+
+def _reviewed(frame_index: int, labels: Labels) -> rows.Review:
+    review = labels.reviews.get(frame_index)
+    if review is None or labels.review(frame_index) not in ("reviewed", "reviewed, empty"):
+        raise SemvizError(f"frame {frame_index} is not marked as reviewed")
+    return review
 
 
 @dataclass(frozen=True)
@@ -145,6 +191,39 @@ class RevokeDecision:
         yield rows.RowChange(row, None)
 
 
+@dataclass(frozen=True)
+class WriteNote:
+    """Write a note on an element, or write it anew.
+
+    Author and time are whoever's the caller knows: no page sends this edit.
+    """
+
+    note: rows.Note
+    kind: Literal["note"] = "note"
+
+    def changes(self, labels: Labels, rules: rows.Rules) -> Iterator[rows.RowChange]:
+        labels.element(self.note.element_id)
+        before = labels.notes.get(self.note.id)
+        if before != self.note:
+            yield rows.RowChange(before, self.note)
+
+
+@dataclass(frozen=True)
+class DeleteNote:
+    """Delete a note: the question is answered."""
+
+    note_id: rows.Id
+    kind: Literal["delete note"] = "delete note"
+
+    __pydantic_config__: ClassVar[ConfigDict] = rows.STRICT
+
+    def changes(self, labels: Labels, rules: rows.Rules) -> Iterator[rows.RowChange]:
+        row = labels.notes.get(self.note_id)
+        if row is None:
+            raise SemvizError("there is no such note; it may be deleted already")
+        yield rows.RowChange(row, None)
+
+
 class AnyEdit(Protocol):
     """An edit that a store can apply: an ``Edit``, or one that no page sends, such as an import."""
 
@@ -163,6 +242,7 @@ Edit: TypeAlias = (
     | AddMany
     | Dismiss
     | MoveObservation
+    | ReSnap
     | SetKnown
     | SwapEnds
     | DeleteObservation
@@ -171,9 +251,13 @@ Edit: TypeAlias = (
     | Link
     | Unlink
     | SetClass
+    | SetClassOfViews
     | ReviewFrame
+    | AcceptFrame
+    | SendBackFrame
     | DecideElements
     | RevokeDecision
+    | DeleteNote
 )
 
 _EDIT: TypeAdapter[Edit] = TypeAdapter(Annotated[Edit, Field(discriminator="kind")])

@@ -34,7 +34,7 @@ from semviz_core.common.errors import SemvizError
 
 @dataclass(frozen=True)
 class DeleteElement:
-    """Delete an element with its observations, dismissals and decisions."""
+    """Delete an element with its observations, dismissals, decisions and notes."""
 
     element_id: Id
     kind: Literal["delete element"] = "delete element"
@@ -52,8 +52,8 @@ class DeleteElement:
 class Link:
     """State that label elements are one landmark: the smallest number keeps all observations.
 
-    Decisions about the others pass to the element that is kept, unless it has its own. A decision
-    that two of them are apart is revoked.
+    Notes on the others pass to the element that is kept. So do decisions, unless it has its own. A
+    decision that two of them are apart is revoked.
     """
 
     element_ids: Annotated[tuple[Id, ...], Field(min_length=2)]
@@ -73,6 +73,8 @@ class Link:
                 proposal = proposal_id(kept.id, row.frame_index, row.side)
                 yield from _deletions([labels.dismissals.get(proposal)])
             yield from _deletions(labels.dismissed_of(element.id))
+            for note in labels.notes_of(element.id):
+                yield RowChange(note, replace(note, element_id=kept.id))
         yield from _transferred_decisions(kept.id, {element.id for element in merged}, labels)
 
     @staticmethod
@@ -118,7 +120,10 @@ def _transferred_decisions(
 
 @dataclass(frozen=True)
 class Unlink:
-    """State that observations of an element show another landmark: a new element, kept apart."""
+    """State that observations of an element show another landmark: a new element, kept apart.
+
+    Notes on frames that only the new element is labelled in go along.
+    """
 
     observation_ids: Annotated[tuple[Id, ...], Field(min_length=1)]
     new_element_id: Id
@@ -139,6 +144,12 @@ class Unlink:
         if kept_as_one is not None and kept_as_one.verdict == "keep":
             yield RowChange(kept_as_one, None)
         yield RowChange(None, different_elements(element.id, self.new_element_id))
+        moved, kept = set(rows), labels.of_element(element.id)
+        frames = {row.frame_index for row in rows}
+        frames -= {row.frame_index for row in kept if row not in moved}
+        for note in labels.notes_of(element.id):
+            if note.frame_index in frames:
+                yield RowChange(note, replace(note, element_id=self.new_element_id))
 
     def _check(
         self, rows: list[Observation], element: LabelElement, labels: Labels, rules: Rules
@@ -171,9 +182,38 @@ class SetClass:
         yield RowChange(element, replace(element, class_id=self.class_id))
 
 
+@dataclass(frozen=True)
+class SetClassOfViews:
+    """Change the class of some observations of an element, within its kind.
+
+    If they are not all of its observations, they become a new element, kept apart from it.
+    """
+
+    observation_ids: Annotated[tuple[Id, ...], Field(min_length=1)]
+    class_id: Index
+    new_element_id: Id
+    kind: Literal["set class of views"] = "set class of views"
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
+        rows = {labels.observation(id_) for id_ in self.observation_ids}
+        element = labels.element(labels.observation(self.observation_ids[0]).element_id)
+        whole = SetClass(element.id, self.class_id).changes(labels, rules)
+        if rows == set(labels.of_element(element.id)):
+            yield from whole
+            return
+        tuple(whole)  # raises if the kinds differ
+        for change in Unlink(self.observation_ids, self.new_element_id).changes(labels, rules):
+            if isinstance(change.after, LabelElement):
+                change = RowChange(None, replace(change.after, class_id=self.class_id))
+            yield change
+
+
 def _deletions_with_element(labels: Labels, element_id: str) -> Iterator[RowChange]:
-    """Delete the dismissals and decisions that refer to an element."""
+    """Delete the dismissals, decisions and notes that refer to an element."""
     yield from _deletions([*labels.dismissed_of(element_id), *labels.decisions_of(element_id)])
+    yield from _deletions(labels.notes_of(element_id))
 
 
 def _deletions(rows: Iterable[Row | None]) -> Iterator[RowChange]:
@@ -303,6 +343,20 @@ class MoveObservation:
             end_px=row.end_px if self.end_px is None else self.end_px,
         )
         yield RowChange(row, rules.check(moved, labels.element(row.element_id).class_id))
+
+
+@dataclass(frozen=True)
+class ReSnap:
+    """Move observations to the edges that the images show, all or none."""
+
+    moves: Annotated[tuple[MoveObservation, ...], Field(min_length=1)]
+    kind: Literal["re-snap"] = "re-snap"
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
+        for move in self.moves:
+            yield from move.changes(labels, rules)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from semviz_annotation.labels.rows import (
     Index,
     Key,
     LabelElement,
+    Note,
     Observation,
     Pixel,
     Review,
@@ -22,9 +23,9 @@ from semviz_annotation.labels.rows import (
     Row,
     RowChange,
     SharedDict,
+    check_decision,
     new_id,
     proposal_id,
-    review_decision_id,
     row_elements,
     row_key,
 )
@@ -41,6 +42,7 @@ __all__ = [
     "Key",
     "LabelElement",
     "Labels",
+    "Note",
     "Observation",
     "Pixel",
     "Review",
@@ -67,16 +69,14 @@ class StereoPair(NamedTuple):
 
 @dataclass(frozen=True)
 class Labels:
-    """The whole label state. Two states are equal if their rows are.
-
-    Do not modify the mappings: ``changed`` returns a new state.
-    """
+    """The whole label state. Do not modify the mappings: ``changed`` returns a new state."""
 
     elements: Mapping[str, LabelElement] = field(default_factory=dict)
     observations: Mapping[str, Observation] = field(default_factory=SharedDict)
     reviews: Mapping[int, Review] = field(default_factory=SharedDict)
     dismissals: Mapping[str, Dismissal] = field(default_factory=SharedDict)
     review_decisions: Mapping[str, ReviewDecision] = field(default_factory=SharedDict)
+    notes: Mapping[str, Note] = field(default_factory=SharedDict)
     next_number: int = field(default=1, compare=False)
     """Number of the next new element. It never decreases, not even by undo."""
     operation: int = field(default=0, compare=False)
@@ -89,6 +89,7 @@ class Labels:
     _dismissed_in: Mapping[int, tuple[str, ...]] = field(default_factory=SharedDict, compare=False)
     _dismissed_of: Mapping[str, tuple[str, ...]] = field(default_factory=SharedDict, compare=False)
     _decisions_of: Mapping[str, tuple[str, ...]] = field(default_factory=SharedDict, compare=False)
+    _notes_of: Mapping[str, tuple[str, ...]] = field(default_factory=SharedDict, compare=False)
 
     @classmethod
     def from_rows(
@@ -134,6 +135,7 @@ class Labels:
             Review: self.reviews,
             Dismissal: self.dismissals,
             ReviewDecision: self.review_decisions,
+            Note: self.notes,
         }
 
     def element(self, element_id: str) -> LabelElement:
@@ -182,6 +184,10 @@ class Labels:
             for row_id in sorted(self._decisions_of.get(element_id, ()))
         )
 
+    def notes_of(self, element_id: str) -> tuple[Note, ...]:
+        """Return the notes about an element, by id: oldest first."""
+        return tuple(self.notes[row_id] for row_id in sorted(self._notes_of.get(element_id, ())))
+
     def is_left_out(self, element_id: str) -> bool:
         """Return whether a person decided that an element belongs in no map."""
         row_ids = self._decisions_of.get(element_id, ())
@@ -190,7 +196,7 @@ class Labels:
     def without_left_out(self) -> "Labels":
         """Return the state without the elements that belong in no map; the same if there are none.
 
-        For what shows or uses labels as true elements: exports, observations, training.
+        For what uses labels as true elements: exports, observations, training.
         """
         decisions = self.review_decisions.values()
         left_out = {row.element_id for row in decisions if row.verdict == "leave out"}
@@ -224,13 +230,14 @@ class Labels:
                 yield StereoPair(self.element(row.element_id), row, right[row.element_id])
 
     def differing(self, before: "Labels") -> set[str]:
-        """Return the ids of elements whose observations or decisions differ, perhaps a few more.
+        """Return the ids of elements whose observations, decisions or notes differ, perhaps more.
 
         Rows are compared by identity: fast if one state comes from the other by ``changed``.
         """
         return set().union(
             SharedDict.of(self._of_element).differing(SharedDict.of(before._of_element)),
             SharedDict.of(self._decisions_of).differing(SharedDict.of(before._decisions_of)),
+            SharedDict.of(self._notes_of).differing(SharedDict.of(before._notes_of)),
         )
 
     def review(self, frame_index: int) -> ReviewState:
@@ -261,6 +268,7 @@ class Draft:
         self._reviews = table(labels.reviews)
         self._dismissals = table(labels.dismissals)
         self._review_decisions = table(labels.review_decisions)
+        self._notes = table(labels.notes)
         self.next_number = labels.next_number
         self._operation = labels.operation
         self._triangle_center = labels.triangle_center
@@ -270,6 +278,7 @@ class Draft:
         self._dismissed_in = table(labels._dismissed_in)
         self._dismissed_of = table(labels._dismissed_of)
         self._decisions_of = table(labels._decisions_of)
+        self._notes_of = table(labels._notes_of)
 
     def apply(self, changes: Iterable[RowChange]) -> None:
         """Apply ``changes`` together. Discard the draft if this raises.
@@ -286,6 +295,7 @@ class Draft:
             Review: self._reviews,
             Dismissal: self._dismissals,
             ReviewDecision: self._review_decisions,
+            Note: self._notes,
         }
         for change in changes:
             kind, name = change.key
@@ -304,7 +314,7 @@ class Draft:
         """Add new rows, in any order; same result as ``apply``, but faster."""
         for row in rows:
             self._add(row)
-        indices = (self._of_element, self._dismissed_of, self._decisions_of)
+        indices = (self._of_element, self._dismissed_of, self._decisions_of, self._notes_of)
         for element_id in self._elements.keys() | {
             element_id for index in indices for element_id in index
         }:
@@ -318,6 +328,7 @@ class Draft:
             SharedDict.of(self._reviews),
             SharedDict.of(self._dismissals),
             SharedDict.of(self._review_decisions),
+            SharedDict.of(self._notes),
             self.next_number,
             self._operation,
             self._triangle_center,
@@ -327,6 +338,7 @@ class Draft:
             SharedDict.of(self._dismissed_in),
             SharedDict.of(self._dismissed_of),
             SharedDict.of(self._decisions_of),
+            SharedDict.of(self._notes_of),
         )
 
     def class_of(self, row: Observation) -> int:
@@ -353,6 +365,9 @@ class Draft:
             del self._review_decisions[row.id]
             for element_id in row_elements(row):
                 _discard(self._decisions_of, element_id, row.id)
+        elif isinstance(row, Note):
+            del self._notes[row.id]
+            _discard(self._notes_of, row.element_id, row.id)
 
     def _add(self, row: Row) -> None:
         if isinstance(row, LabelElement):
@@ -373,10 +388,15 @@ class Draft:
             if row.element_id is not None:
                 _include(self._dismissed_of, row.element_id, row.id)
         elif isinstance(row, ReviewDecision):
-            _check_decision(row)
+            check_decision(row)
             self._review_decisions[row.id] = row
             for element_id in row_elements(row):
                 _include(self._decisions_of, element_id, row.id)
+        elif isinstance(row, Note):
+            if not row.text and not row.unsure:
+                raise SemvizError("a note has a text, or says that its element is unsure")
+            self._notes[row.id] = row
+            _include(self._notes_of, row.element_id, row.id)
         else:
             self._reviews[row.frame_index] = row
 
@@ -389,6 +409,8 @@ class Draft:
                 raise SemvizError("a dismissal would be left without its element")
             if element_id in self._decisions_of:
                 raise SemvizError("a decision for the map would be left without its element")
+            if element_id in self._notes_of:
+                raise SemvizError("a note would be left without its element")
             return
         number = self._elements[element_id].number
         if not rows:
@@ -409,17 +431,9 @@ class Draft:
         ]
         if isinstance(row, ReviewDecision):
             return f"the decision about {' and '.join(names) or 'deleted elements'}"
+        if isinstance(row, Note):
+            return f"a note on {' and '.join(names) or 'a deleted element'}"
         return names[0] if names else "a deleted element"
-
-
-def _check_decision(row: ReviewDecision) -> None:
-    first, *others = row_elements(row)
-    if bool(others) != (row.verdict == "apart") or any(first >= other_id for other_id in others):
-        raise SemvizError(
-            "only a decision 'apart' is about two elements, the one with the smaller id first"
-        )
-    if row.id != review_decision_id(row.element_id, row.other_id):
-        raise SemvizError("this is not the id of a decision about these elements")
 
 
 def _include(index: MutableMapping[Any, tuple[str, ...]], key: object, row_id: str) -> None:

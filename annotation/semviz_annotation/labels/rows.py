@@ -30,6 +30,8 @@ from semviz_core.common.errors import SemvizError
 _ID = r"^[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}$"
 Id: TypeAlias = Annotated[str, Field(pattern=_ID)]
 Index: TypeAlias = Annotated[int, Field(ge=0, lt=2**31)]
+MAX_NOTE_LENGTH = 500
+"""Characters of a note."""
 Pixel: TypeAlias = tuple[float, float]
 """(u, v); (0, 0) is the centre of the top-left pixel."""
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
@@ -155,7 +157,26 @@ def review_decision_id(element_id: str, other_id: str | None = None) -> str:
     return derived_id(" ".join(["judgement", *ids]))
 
 
-Row: TypeAlias = LabelElement | Observation | Review | Dismissal | ReviewDecision
+@dataclass(frozen=True)
+class Note:
+    """What a person wrote about an element; it may say that the element is doubtful."""
+
+    id: Id
+    element_id: Id
+    frame_index: Index | None
+    """The frame that it is about; None: all of the element."""
+    unsure: bool
+    """Whether somebody else should look at the element."""
+    text: Annotated[str, Field(max_length=MAX_NOTE_LENGTH)]
+    """May be empty if ``unsure``."""
+    author: str
+    time: str
+    """UTC, ISO 8601, when it was written."""
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+
+Row: TypeAlias = LabelElement | Observation | Review | Dismissal | ReviewDecision | Note
 Key: TypeAlias = tuple[type[Row], str | int]
 TAGS: dict[type[Row], str] = {
     LabelElement: "element",
@@ -163,13 +184,20 @@ TAGS: dict[type[Row], str] = {
     Review: "review",
     Dismissal: "dismissal",
     ReviewDecision: "judgement",
+    Note: "note",
 }
 
 
 def _row_tag(row: object) -> str:
     """Return the tag of a row, parsed or not, so that pydantic reports errors for that row type."""
     fields = row if isinstance(row, dict) else vars(row) if isinstance(row, Row) else {}
-    tags = {"state": "review", "number": "element", "why": "dismissal", "verdict": "judgement"}
+    tags = {
+        "state": "review",
+        "number": "element",
+        "why": "dismissal",
+        "verdict": "judgement",
+        "unsure": "note",
+    }
     return next((tag for field, tag in tags.items() if field in fields), "observation")
 
 
@@ -178,7 +206,8 @@ _Tagged: TypeAlias = Annotated[
     | Annotated[Observation, Tag("observation")]
     | Annotated[Review, Tag("review")]
     | Annotated[Dismissal, Tag("dismissal")]
-    | Annotated[ReviewDecision, Tag("judgement")],
+    | Annotated[ReviewDecision, Tag("judgement")]
+    | Annotated[Note, Tag("note")],
     Discriminator(_row_tag),
 ]
 
@@ -215,13 +244,24 @@ def row_elements(row: Row | None) -> tuple[str, ...]:
     match row:
         case LabelElement():
             return (row.id,)
-        case Observation():
+        case Observation() | Note():
             return (row.element_id,)
         case ReviewDecision():
             return (row.element_id,) if row.other_id is None else (row.element_id, row.other_id)
         case Dismissal() if row.element_id is not None:
             return (row.element_id,)
     return ()
+
+
+def check_decision(row: ReviewDecision) -> None:
+    """Raise SemvizError if a decision is not of the form that the fields of its row describe."""
+    first, *others = row_elements(row)
+    if bool(others) != (row.verdict == "apart") or any(first >= other_id for other_id in others):
+        raise SemvizError(
+            "only a decision 'apart' is about two elements, the one with the smaller id first"
+        )
+    if row.id != review_decision_id(row.element_id, row.other_id):
+        raise SemvizError("this is not the id of a decision about these elements")
 
 
 MIN_LENGTH_PX = 0.5

@@ -213,9 +213,10 @@ def _check_unused(path: Path) -> None:
 FORMAT = "semviz-operations"
 MOST_LOG_BYTES = 2**30
 """An operation has about 500 bytes."""
-VERSION, OLDER_VERSION = 4, 3
-"""Version 1 had neither hashes nor texts, version 2 no review decisions. Version 4 marks triangular
-signs at their centroid, versions up to 3 at the middle of their box.
+_CENTROID_VERSIONS = (4, tables.VERSION)
+"""Logs have the versions of files. Version 1 had neither hashes nor texts, version 2 no review
+decisions, versions up to 4 no notes. These mark triangular signs at their centroid, others at the
+middle of their box.
 
 Later logs also tell their number of operations and the hash of the last one.
 """
@@ -227,7 +228,7 @@ def export_operations(store: LabelStore, path: Path) -> None:
     operations, center = store.operations(), store.labels.triangle_center
     header = {
         "format": FORMAT,
-        "version": OLDER_VERSION if center == OLDER_CENTER else VERSION,
+        "version": tables.OLDER_VERSION if center == OLDER_CENTER else tables.VERSION,
         "triangle_center": center,
         "operations": len(operations),
         "hash": operations[-1].hash if operations else NO_HASH,
@@ -324,7 +325,7 @@ class _Header:
     @property
     def center(self) -> TriangleCenter:
         """What the labels of triangular signs mark, by the version."""
-        return OLDER_CENTER if self.version <= OLDER_VERSION else NEW_CENTER
+        return NEW_CENTER if self.version in _CENTROID_VERSIONS else OLDER_CENTER
 
 
 _HEADER = TypeAdapter(_Header)
@@ -335,9 +336,10 @@ def _read_header(path: Path, line: bytes) -> _Header:
         header = _HEADER.validate_json(line)
     except ValidationError:
         raise SemvizError(f"{path}, line 1: not a log of label operations of semviz") from None
-    if header.version > VERSION:
+    if header.version > tables.VERSION:
         raise SemvizError(
-            f"{path}: log version {header.version}, this semviz reads up to {VERSION}; update"
+            f"{path}: log version {header.version}, this semviz reads up to {tables.VERSION}; "
+            "update"
         )
     if header.triangle_center not in (None, header.center):
         raise SemvizError(

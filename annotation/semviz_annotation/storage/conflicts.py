@@ -14,6 +14,7 @@ from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.rows import (
     Key,
     LabelElement,
+    Note,
     Observation,
     Review,
     ReviewDecision,
@@ -170,6 +171,7 @@ class ConflictChecker:
             rows: list[Row] = [*self._labels.of_element(element_id)]
             rows += self._labels.dismissed_of(element_id)
             rows += self._labels.decisions_of(element_id)
+            rows += self._labels.notes_of(element_id)
             for row in rows:
                 key = row_key(row)
                 writer = tables.last_writer(self._connection, [key])
@@ -201,6 +203,8 @@ class ConflictChecker:
                 return names[0]
             case ReviewDecision():
                 return f"the decision about {' and '.join(names)}"
+            case Note():
+                return f"a note on {names[0]}"
         return f"{names[0]} in the {row.side} image of frame {row.frame_index}"
 
     def _element(self, element_id: str) -> LabelElement | None:

@@ -19,9 +19,6 @@ from semviz_core.common.files import new_file
 
 APPLICATION_ID = 0x53564C42
 """Identifies a SQLite file as a label file ("SVLB")."""
-VERSION, OLDER_VERSION = tables.CENTROID_VERSION, 3
-"""Labels whose triangles follow the box stay at version 3. Earlier versions of semviz, which would
-snap to the middle of the box, refuse those of version 4."""
 
 _STATE = """
 CREATE TABLE elements (
@@ -91,11 +88,23 @@ CREATE TABLE judgements (
 CREATE INDEX judgements_of_element ON judgements (element_id);
 CREATE INDEX judgements_of_other ON judgements (other_id);
 """
+_SINCE_5 = """
+CREATE TABLE notes (
+    id TEXT PRIMARY KEY,
+    element_id TEXT NOT NULL REFERENCES elements DEFERRABLE INITIALLY DEFERRED,
+    frame_index INTEGER,
+    unsure INTEGER NOT NULL,
+    text TEXT NOT NULL,
+    author TEXT NOT NULL,
+    time TEXT NOT NULL
+);
+CREATE INDEX notes_of_element ON notes (element_id);
+"""
 
 
 def make(connection: sqlite3.Connection, center: TriangleCenter = NEW_CENTER) -> None:
     """Create the tables in an empty file, within the open transaction."""
-    _run(connection, _STATE + _SINCE_2 + _SINCE_3)
+    _run(connection, _STATE + _SINCE_2 + _SINCE_3 + _SINCE_5)
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     define_triangles(connection, center)
 
@@ -103,7 +112,7 @@ def make(connection: sqlite3.Connection, center: TriangleCenter = NEW_CENTER) ->
 def define_triangles(connection: sqlite3.Connection, center: TriangleCenter) -> None:
     """Store what the labels of triangular signs mark, within the open transaction."""
     tables.write_triangle_center(connection, center)
-    version = OLDER_VERSION if center == OLDER_CENTER else VERSION
+    version = tables.OLDER_VERSION if center == OLDER_CENTER else tables.VERSION
     connection.execute(f"PRAGMA user_version = {version}")
 
 
@@ -114,8 +123,11 @@ def upgrade(connection: sqlite3.Connection, version: int) -> None:
     """
     if version < 2:
         _seal_operations(connection)
-    _run(connection, _SINCE_3)
-    connection.execute(f"PRAGMA user_version = {OLDER_VERSION}")
+    if version < 3:
+        _run(connection, _SINCE_3)
+    _run(connection, _SINCE_5)
+    new = tables.WITHOUT_NOTES.get(version, tables.OLDER_VERSION)
+    connection.execute(f"PRAGMA user_version = {new}")
 
 
 def _seal_operations(connection: sqlite3.Connection) -> None:
@@ -237,11 +249,11 @@ def check_and_upgrade(connection: sqlite3.Connection, path: Path) -> None:
     if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
         raise SemvizError(f"{path}: a SQLite file, but not labels of semviz")
     version = connection.execute("PRAGMA user_version").fetchone()[0]
-    if version > VERSION:
+    if version > tables.VERSION:
         raise SemvizError(
-            f"{path}: labels of version {version}, this semviz reads up to {VERSION}; update"
+            f"{path}: labels of version {version}, this semviz reads up to {tables.VERSION}; update"
         )
-    if version < OLDER_VERSION:
+    if version < tables.OLDER_VERSION:
         try:
             upgrade(connection, version)
         except ValidationError as error:

@@ -12,11 +12,12 @@ from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
 from types import TracebackType
+from typing import Literal
 
 from semviz_annotation.labels import rows
 from semviz_annotation.labels.edits import AnyEdit
 from semviz_annotation.labels.labels import Draft, Labels
-from semviz_annotation.storage import tables
+from semviz_annotation.storage import placement, tables, teamwork
 from semviz_annotation.storage.conflicts import ConflictChecker
 from semviz_annotation.storage.label_file import BackgroundCheck, Health, LabelFile, LabelFileError
 from semviz_annotation.storage.operations import (
@@ -30,6 +31,7 @@ from semviz_annotation.storage.operations import (
     Writer,
     sealed,
 )
+from semviz_annotation.storage.teamwork import AssignedFrames, Tally
 from semviz_core.base.camera import Rig
 from semviz_core.base.classes import (
     DEFAULT_CLASSES,
@@ -184,6 +186,23 @@ class LabelStore:
             }
         return {id_: writer for id_, writer in writers.items() if writer is not None}
 
+    def placing_operations(self, observation_ids: Iterable[str]) -> dict[str, Writer]:
+        """Return the operation that placed the ends of each observation, without unknown ids."""
+        with self._file.reading():
+            return placement.placing_operations(self._file.connection, observation_ids)
+
+    def teamwork(
+        self,
+    ) -> tuple[dict[int, Writer], dict[str, Tally], dict[str, list[AssignedFrames]]]:
+        """Return the last operations on reviews by frame, the work by author, assigned frames."""
+        with self._file.reading():
+            connection = self._file.connection
+            return (
+                teamwork.review_writers(connection),
+                teamwork.tallies(connection),
+                teamwork.assignments(connection),
+            )
+
     def undoable(self, author: str) -> int | None:
         """Return the number of the author's last edit that is not undone; None if there is none."""
         with self._file.reading():
@@ -323,6 +342,16 @@ class LabelStore:
             return Operation(new, request_id, author, "human", _now(), "name", (), text=name)
 
         return self._commit(operation, "name", author, request_id)
+
+    def state(
+        self, kind: Literal["invite", "revoke", "assign"], text: str, author: str
+    ) -> Operation:
+        """Write down what was done about people; it changes no row, and is not undone."""
+
+        def operation(new: int, request_id: str) -> Operation:
+            return Operation(new, request_id, author, "human", _now(), kind, (), text=text)
+
+        return self._commit(operation, kind, author, None)
 
     def extend(
         self, operations: Iterable[Operation], triangle_center: TriangleCenter = NEW_CENTER

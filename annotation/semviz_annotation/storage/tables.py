@@ -14,6 +14,7 @@ from semviz_annotation.labels.rows import (
     Dismissal,
     Key,
     LabelElement,
+    Note,
     Observation,
     Review,
     ReviewDecision,
@@ -25,12 +26,14 @@ from semviz_annotation.storage.operations import CHANGES, NO_HASH, Operation, Wr
 from semviz_core.base.classes import OLDER_CENTER, TriangleCenter
 from semviz_core.common.errors import SemvizError
 
+STATEMENTS = frozenset({"name", "invite", "revoke", "assign"})
+"""Kinds of operations that are no edits: they change no row, and are not undone."""
+
 
 class UndoHistory:
     """Numbers of each author's done and undone edits; latest last.
 
-    Authors undo only their own edits. A new edit clears the author's undone edits. Naming a state
-    is no edit.
+    Authors undo only their own edits. A new edit clears the author's undone edits.
     """
 
     def __init__(self) -> None:
@@ -53,7 +56,7 @@ class UndoHistory:
             _move(undoes, done, undone)
         elif redoes is not None:
             _move(redoes, undone, done)
-        elif kind != "name":
+        elif kind not in STATEMENTS:
             done[number] = None
             undone.clear()
 
@@ -123,8 +126,10 @@ def read_labels(connection: sqlite3.Connection) -> Labels:
     return Labels.from_rows(_rows(connection), next_number, last, read_triangle_center(connection))
 
 
-CENTROID_VERSION = 4
-"""Version of exactly the files whose triangular signs are labelled at their centroid."""
+VERSION, OLDER_VERSION = 6, 5
+"""Versions of files whose triangular signs are labelled at their centroid, and of others."""
+WITHOUT_NOTES = {4: VERSION, 3: OLDER_VERSION}
+"""The same of files without a table of notes, and what they become."""
 _CENTROID = "triangle centroid"
 """Name of the counter that is 1 if triangular signs are labelled at their centroid."""
 
@@ -137,7 +142,7 @@ def read_triangle_center(connection: sqlite3.Connection) -> TriangleCenter:
     row = connection.execute("SELECT value FROM counters WHERE name = ?", (_CENTROID,)).fetchone()
     is_centroid = row is not None and bool(row[0])
     (version,) = connection.execute("PRAGMA user_version").fetchone()
-    if is_centroid != (version == CENTROID_VERSION):
+    if is_centroid != (version == VERSION):
         raise SemvizError("what its labels of triangular signs mark contradicts its version")
     return "centroid" if is_centroid else OLDER_CENTER
 
@@ -155,6 +160,7 @@ _TYPES = {
     "reviews": "it",
     "dismissals": "tittT",
     "judgements": "tttT",
+    "notes": "ttIittt",
     "counters": "ti",
 }
 """The type of each column, by the letters of ``_TYPE_NAMES``."""
@@ -162,6 +168,7 @@ _TYPE_NAMES = {
     "t": "'text'",
     "T": "'text', 'null'",
     "i": "'integer'",
+    "I": "'integer', 'null'",
     "r": "'real'",
     "R": "'real', 'null'",
 }
@@ -196,6 +203,10 @@ def _rows(connection: sqlite3.Connection) -> Iterator[Row]:
         yield Dismissal(*row)
     for row in connection.execute("SELECT id, verdict, element_id, other_id FROM judgements"):
         yield ReviewDecision(*row)
+    for id_, element, frame, unsure, *written in connection.execute(
+        "SELECT id, element_id, frame_index, unsure, text, author, time FROM notes"
+    ):
+        yield Note(id_, element, frame, bool(unsure), *written)
 
 
 def write_changes(
@@ -244,6 +255,9 @@ def row_values(row: Row) -> tuple[object, ...]:
             return row.id, row.frame_index, row.side, row.why, row.element_id
         case ReviewDecision():
             return row.id, row.verdict, row.element_id, row.other_id
+        case Note():
+            about = (row.id, row.element_id, row.frame_index, row.unsure)
+            return *about, row.text, row.author, row.time
 
 
 def write_operation(connection: sqlite3.Connection, operation: Operation) -> None:

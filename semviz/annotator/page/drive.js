@@ -23,7 +23,7 @@ export class Drive {
   /**
    * @param {State} state
    * @param {Keys} keys
-   * @param {Pick<Page, "socket" | "go" | "notify" | "pictures" | "poses">} page
+   * @param {Pick<Page, "socket" | "go" | "notify" | "pictures" | "views">} page
    */
   constructor(state, keys, page) {
     this.state = state;
@@ -37,9 +37,8 @@ export class Drive {
     this.picture = new DrivePicture(state, page.pictures);
     this.trajectory = new Trajectory(byId("drive-trajectory", HTMLCanvasElement), (frame) => page.go(frame));
     this.strip = new DriveStrip((frame) => page.go(frame));
-    byId("drive-poses").addEventListener("click", () => page.poses.open("poses"));
+    byId("drive-poses").addEventListener("click", () => page.views.open("poses"));
     byId("drive-jump").addEventListener("click", () => this.#jump());
-    byId("tab-drive").addEventListener("click", () => this.open());
     page.socket.on("drive", ({ drive }) => {
       this.known = drive;
       if (this.chosen < 0) this.#look(Math.max(0, drive.checks.findIndex(({ passed }) => passed === false)));
@@ -52,8 +51,7 @@ export class Drive {
     return this.state.view === "drive";
   }
 
-  open() {
-    this.page.poses.open("drive");
+  entered() {
     this.page.socket.send("show_drive", {});
   }
 
@@ -62,25 +60,17 @@ export class Drive {
    * @returns {Command[]}
    */
   commands() {
-    return [{ key: "F9", group: "Poses", title: "Show your drive: checks of the import", row: "Images; poses", words: "calibration import trajectory", run: () => this.open() }];
-  }
-
-  /** What keys do in this view, by their default.
-   *
-   * @returns {Record<string, () => void>}
-   */
-  keyed() {
-    const pictures = KINDS.map(({ kind, key }) => [key, () => this.#draw(kind)]);
-    return { ...Object.fromEntries(pictures), j: () => this.#jump() };
+    const group = "Your drive", view = "drive";
+    return [
+      ...KINDS.map(({ kind, key, title }) => ({ key, view, group, title: `Picture: ${title.toLowerCase()}`, row: "Rows, distortion, depth", run: () => this.#draw(kind) })),
+      { key: "j", view, group, title: "Frame of the chosen check", run: () => this.#jump() },
+      { key: "Escape", view, group, title: "Back to the images", run: () => this.page.views.open("images") },
+    ];
   }
 
   /** Redraws; called whenever the state of the page changes. */
   show() {
-    document.body.classList.toggle("drive", this.isShown);
-    byId("drive").hidden = !this.isShown;
-    byId("tab-drive").setAttribute("aria-current", String(this.isShown));
     if (!this.isShown) return;
-    if (!this.known) this.page.socket.send("show_drive", {}); // opened by the address
     const { known } = this;
     if (!known) return;
     this.cache.show("drive-head", [known], () => this.#head(known));
@@ -168,8 +158,8 @@ export class Drive {
           el("h3", { text: title }),
           el("p", { class: "dim", text }),
           command ? this.#command(command) : null,
-          view === "images" ? el("button", { onclick: () => this.page.poses.open("images") }, "Start ", badge(this.keys, "F2")) : null,
-          view === "poses" ? el("button", { onclick: () => this.page.poses.open("poses") }, "Open Poses ", badge(this.keys, "F4")) : null))),
+          view === "images" ? el("button", { onclick: () => this.page.views.open("images") }, "Start ", badge(this.keys, "F2")) : null,
+          view === "poses" ? el("button", { onclick: () => this.page.views.open("poses") }, "Open Poses ", badge(this.keys, "F4")) : null))),
     ];
   }
 

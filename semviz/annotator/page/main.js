@@ -23,15 +23,19 @@ import { Outbox } from "./outbox.js";
 import { Panels } from "./panels.js";
 import { Past } from "./past.js";
 import { draftOf, isIdle, seen, startOf } from "./pending.js";
+import { People } from "./people.js";
 import { Pictures } from "./pictures.js";
 import { Poses } from "./poses.js";
 import { moveToRestored, overwriting, replacedLabels, samePlace } from "./questions.js";
 import { Review } from "./review.js";
 import { SecondChoice, inAddress, wishInAddress } from "./second.js";
 import { State } from "./state.js";
+import { Team } from "./team.js";
 import { Tools } from "./tools.js";
 import { Tour } from "./tour.js";
+import { Tracks } from "./tracks.js";
 import { SIDES, spaced } from "./values.js";
+import { Views } from "./views.js";
 
 export class Page {
   constructor() {
@@ -67,7 +71,12 @@ export class Page {
     this.second = new SecondChoice(this.state, this.keys, this);
     this.poses = new Poses(this.state, this.keys, this);
     this.drive = new Drive(this.state, this.keys, this);
-    this.panels = new Panels(this.state, this.images, this.keys, this, [this.backdrop, this.past, this.history, this.light, this.review, this.tour, this.second, this.poses, this.drive]);
+    this.tracks = new Tracks(this.state, this.keys, this);
+    this.people = new People(this.state, this);
+    this.team = new Team(this.state, this.keys, this);
+    /** @type {Views} */
+    this.views = new Views(this.state, this.keys, this, { tracks: this.tracks, poses: this.poses, team: this.team, drive: this.drive });
+    this.panels = new Panels(this.state, this.images, this.keys, this, [this.backdrop, this.past, this.history, this.light, this.review, this.tour, this.second, this.people, this.views, this.tracks, this.poses, this.team, this.drive]);
     this.keys.onchange = () => this.state.set({ changedKeys: this.keys.changed });
     this.keys.listen(window);
     watchLists();
@@ -100,7 +109,11 @@ export class Page {
 
   /** Whether labels can be changed now; if not, a message says why. */
   mayEdit() {
-    const { past } = this.state;
+    const { past, workspace } = this.state;
+    if (workspace.role === "look") {
+      this.notify("You may look at these labels, and not change them: who invited you can change that.", "wrong");
+      return false;
+    }
     if (past) this.notify(`This is the state after operation ${spaced(past.operation)}: press Esc to return.`, "wrong");
     return !past;
   }
@@ -154,7 +167,7 @@ export class Page {
     this.tools.cancel();
     state.set({ frame: index, preview: null });
     const { wish, view } = state;
-    window.history.replaceState(null, "", `?frame=${index}${inAddress(wish)}${view === "images" ? "" : `&view=${view}`}`);
+    window.history.replaceState(null, "", `?frame=${index}${inAddress(wish)}${view === "images" ? "" : `&view=${view}`}${this.tracks.inAddress()}`);
     this.socket.send("go_to_frame", { frame: index, second: wish });
     this.sceneGate?.hold(true);
     this.#showPictures(index);
@@ -208,11 +221,6 @@ export class Page {
     showPalette(this.keys);
   }
 
-  /** Shows whole images. */
-  fit() {
-    this.images.fit();
-  }
-
   sendTheme() {
     const theme = currentTheme();
     this.state.set({ theme });
@@ -264,7 +272,8 @@ export class Page {
     const { state } = this;
     const isFirst = !state.isReady;
     state.set({ known: workspace, received: { ...labels, frame: state.received?.frame ?? null } });
-    this.keys.use([...this.poses.commands(commands(state, this.images, this.tools, this), this.drive.keyed()), ...this.drive.commands()]);
+    const ofImages = this.views.ofImages(commands(state, this.images, this.tools, this));
+    this.keys.use([...ofImages, ...this.views.commands(), ...this.tracks.commands(), ...this.poses.commands(), ...this.team.commands(), ...this.drive.commands()]);
     const outbox = (this.outbox ??= new Outbox(workspace.key, (entry) => this.#send(entry)));
     this.#showPending();
     this.panels.start();
@@ -272,8 +281,7 @@ export class Page {
     this.images.fit();
     const view = new URLSearchParams(location.search).get("view"); // going to a frame writes the address anew
     this.go(isFirst ? this.#firstFrame(labels.frames) : state.frame);
-    if (isFirst && view === "poses") this.poses.open("poses");
-    if (isFirst && view === "drive") this.drive.open();
+    if (isFirst) this.views.openNamed(view);
     if (isFirst) new Sketch(state, workspace.key).restore();
     outbox.flush();
     this.sendTheme();
@@ -380,11 +388,11 @@ export class Page {
   /** Takes over the changes of an operation, together with `more` fields of the state.
    *
    * @param {annotator.LabelsView} labels
-   * @param {annotator.LabelledFrameView} frame
+   * @param {annotator.LabelledFrameView | null} frame null: as it was
    * @param {Partial<State>} more
    */
   #take(labels, frame, more = {}) {
-    const shown = frame.index === this.state.frame ? frame : this.state.labels.frame;
+    const shown = frame && frame.index === this.state.frame ? frame : this.state.labels.frame;
     this.state.set({ received: { ...labels, frames: this.#merged(labels.frames), frame: shown }, ...more });
   }
 

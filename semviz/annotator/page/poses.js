@@ -11,18 +11,11 @@ import { PoseStrips } from "./pose_strips.js";
 import { uuid7 } from "./values.js";
 
 /** @typedef {annotator.PoseAnswer["choice"]} Choice */
-/** Commands of the page that work in this view too, by their group and default key. */
-const EVERYWHERE = new Set(["History", "General"]);
-const ALSO = new Set([",", ".", "ctrl+g", "ctrl+."]);
-
-/** @param {{key: string, shift?: boolean, ctrl?: boolean}} key */
-const named = ({ key, shift, ctrl }) => `${ctrl ? "ctrl+" : ""}${shift ? "shift+" : ""}${key.toLowerCase()}`;
-
 export class Poses {
   /**
    * @param {State} state
    * @param {Keys} keys
-   * @param {Pick<Page, "socket" | "go" | "notify" | "pictures">} page
+   * @param {Pick<Page, "socket" | "go" | "notify" | "pictures" | "views">} page
    */
   constructor(state, keys, page) {
     this.state = state;
@@ -40,8 +33,6 @@ export class Poses {
     this.panels = new PosePanels(state, keys, this);
     this.strips = new PoseStrips(this, (frame) => page.go(frame));
     this.images = new PoseImages(state, this);
-    byId("tab-images").addEventListener("click", () => this.open("images"));
-    byId("tab-poses").addEventListener("click", () => this.open("poses"));
     page.socket.on("poses", (event) => this.#received(event));
     page.socket.on("pose_frame", (event) => this.#receivedFrame(event));
     page.socket.on("poses_chosen", ({ text }) => page.notify(text));
@@ -66,75 +57,36 @@ export class Poses {
     return this.stretch?.answers.find(({ choice }) => choice === this.tried) ?? null;
   }
 
-  /** Shows one of the views. In this one the poses are compared, unless they are already.
-   *
-   * @param {State["view"]} view
-   */
-  open(view) {
-    if (this.state.view === view) return;
-    this.state.set({ view });
-    this.page.go(this.state.frame); // the address names the view
-    if (view !== "poses") {
-      this.drop();
-      return;
-    }
+  /** The poses are compared, unless they are already. */
+  entered() {
     this.page.socket.send("show_poses", {});
     if (this.stretch) this.select(this.place);
   }
 
-  /** Commands for `Keys`: those of this view, and the others of the page, which rest while it is shown.
+  left() {
+    this.drop();
+  }
+
+  /** Commands for `Keys`.
    *
-   * @param {Command[]} others
-   * @param {Record<string, () => void>} inDrive what keys do in the view "Your drive"
    * @returns {Command[]}
    */
-  commands(others, inDrive) {
-    const group = "Poses";
+  commands() {
+    const group = "Poses", view = "poses", row = "Next, previous stretch";
     const here = (/** @type {() => void} */ run) => () => {
-      this.open("poses");
+      this.page.views.open("poses");
       run();
     };
-    /** @type {Record<string, () => void>} */
-    const own = {
-      " ": () => this.#redraw({ inOnePlace: !this.inOnePlace }),
-      "ctrl+enter": () => this.apply(),
-      "shift+.": () => this.step(1),
-      "shift+,": () => this.step(-1),
-      escape: () => { if (!this.drop()) this.open("images"); },
-    };
     return [
-      ...others.map((command) => this.#resting(command, own[named(command)], inDrive[named(command)])),
-      { key: "F2", group, title: "Show the images", row: "Images; poses", run: () => this.open("images") },
-      { key: "F4", group, title: "Show the poses against the images", row: "Images; poses", words: "check trajectory", run: () => this.open("poses") },
       { key: "f", shift: true, group, title: "Refine these poses; Ctrl Enter applies", words: "turn shift", run: here(() => this.try("refine")) },
       { key: "o", shift: true, group, title: "Leave these frames out; Ctrl Enter applies", run: here(() => this.try("leave out")) },
       { key: "k", shift: true, group, title: "Keep these poses as they are; Ctrl Enter applies", run: here(() => this.try("keep")) },
+      { key: "Enter", ctrl: true, view, group, title: "Make the previewed choice", run: () => this.apply() },
+      { key: " ", view, group, title: "Before and after in one place", run: () => this.#redraw({ inOnePlace: !this.inOnePlace }) },
+      { key: ".", shift: true, view, group, row, title: "Next stretch", run: () => this.step(1) },
+      { key: ",", shift: true, view, group, row, title: "Previous stretch", run: () => this.step(-1) },
+      { key: "Escape", view, group, title: "Drop the preview; back to the images", run: () => { if (!this.drop()) this.page.views.open("images"); } },
     ];
-  }
-
-  /** A command of the images. While poses are shown its key does nothing, or what `own` does; the list of
-   * all commands leads back to the images.
-   *
-   * @param {Command} command
-   * @param {(() => void) | undefined} own
-   * @param {(() => void) | undefined} inDrive as `own`, of the view "Your drive"
-   * @returns {Command}
-   */
-  #resting(command, own, inDrive) {
-    const { run } = command;
-    if (!run || EVERYWHERE.has(command.group) || ALSO.has(named(command))) return command;
-    return {
-      ...command,
-      run: (event) => {
-        if (this.state.view === "images") run(event);
-        else if (this.isShown && own) own();
-        else if (this.state.view === "drive" && inDrive) inDrive();
-        else if (!event) {
-          this.open("images");
-          run();
-        }
-      },
-    };
   }
 
   /** Previews an answer; nothing is changed.
@@ -199,10 +151,6 @@ export class Poses {
 
   /** Redraws; called whenever the state of the page changes. */
   show() {
-    const { view } = this.state;
-    document.body.classList.toggle("poses", this.isShown);
-    byId("poses").hidden = !this.isShown;
-    for (const name of ["images", "poses"]) byId(`tab-${name}`).setAttribute("aria-current", String(view === name));
     const open = this.known?.poses?.open ?? 0;
     byId("tab-mark").hidden = !open;
     byId("tab-mark").title = `${open} ${open === 1 ? "stretch of poses wants" : "stretches of poses want"} a look`;

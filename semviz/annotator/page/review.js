@@ -43,7 +43,7 @@ export class Review {
   /**
    * @param {State} state
    * @param {Keys} keys
-   * @param {Pick<Page, "socket" | "submit" | "go" | "select" | "notify" | "fit">} page
+   * @param {Pick<Page, "socket" | "submit" | "go" | "select" | "notify" | "images">} page
    */
   constructor(state, keys, page) {
     this.state = state;
@@ -133,7 +133,7 @@ export class Review {
     }
     this.state.set({ review: { ...review, entry } });
     if (before?.list_name === list && before.entry.key === entry.key) return;
-    this.page.fit();
+    this.page.images.fit();
     if (entry.frame !== null) this.page.go(entry.frame);
     this.page.select(list === "decisions" ? null : entry.elements[0]?.id ?? null);
   }

@@ -21,7 +21,7 @@ export class State {
     this.frame = null; // number of the frame on screen
     /** @type {annotator.SecondImage | null} */
     this.wish = null; // for another second image than the usual one; see second.js
-    /** @type {"images" | "poses" | "drive"} */
+    /** @type {"images" | "tracks" | "poses" | "team" | "drive"} */
     this.view = "images"; // the tab
     this.classId = 0; // for the next element
     /** @type {Selected | null} */

@@ -37,9 +37,9 @@ export class TopBar {
 
   show() {
     const { workspace, labels, frame, order } = this.state;
-    const { name, source, author } = workspace;
+    const { name, source, author, role } = workspace;
     this.cache.show("workspace", workspace, () => [name, el("span", { class: "dim", text: ` ${source}` })]);
-    this.cache.show("author", author, () => [author]);
+    this.cache.show("author", [author, role], () => [role === "look" ? `${author}, looking` : author]);
     this.cache.show("step", [frame, order.length], () => this.#step());
     const done = labels.frames.filter(({ state }) => state.startsWith("reviewed")).length;
     this.cache.show("reviewed", [done, order.length], () => progress(done, order.length));

@@ -1,5 +1,5 @@
 // @ts-check
-/* The overlay that lists all keys of a page and can change them. */
+/* The overlay that lists the keys of the view on screen and can change them. */
 
 import { el } from "./dom.js";
 import { keyBadges, keyName } from "./keys.js";
@@ -104,7 +104,8 @@ class Help {
   }
 
   #show() {
-    const groups = Map.groupBy(this.keys.commands, (command) => command.group);
+    const here = this.keys.commands.filter(({ view }) => view === undefined || view === this.keys.view);
+    const groups = Map.groupBy(here, (command) => command.group);
     this.groups.replaceChildren(...[...groups].map(([name, commands]) =>
       el("section", {}, el("h3", { text: name }),
         el("ul", {}, ...[...Map.groupBy(commands, rowKey).values()].map((row) => this.#row(row))))));

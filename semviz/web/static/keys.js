@@ -2,7 +2,8 @@
 /* All keys of a page in one table: no clashes, any key can be changed, the help lists them all. */
 
 /** @typedef {{key: string, shift?: boolean, ctrl?: boolean}} Key */
-/** @typedef {Key & {group: string, title: string, row?: string, words?: string, run?: (event?: KeyboardEvent) => void}} Command */
+/** `view`: the only view of the page in which the key works; "" is its first view.
+ * @typedef {Key & {group: string, title: string, row?: string, words?: string, view?: string, run?: (event?: KeyboardEvent) => void}} Command */
 
 /** @type {Record<string, string>} */
 const NAMES = { " ": "Space", arrowleft: "←", arrowright: "→", arrowup: "↑", arrowdown: "↓", escape: "Esc", delete: "Del" };
@@ -31,6 +32,34 @@ function signature({ key, shift = false, ctrl = false }) {
   return `${ctrl ? "ctrl+" : ""}${shift ? "shift+" : ""}${key.toLowerCase()}`;
 }
 
+/** The name under which a command's changed key is stored: its default key, after its view.
+ *
+ * @param {Command} command
+ */
+const nameOf = (command) => `${command.view ? `${command.view}:` : ""}${signature(command)}`;
+
+/** Commands by key.
+ * @typedef {Map<string, Command[]>} ByKey */
+
+/** The command that has a key where `command` works; undefined if there is none.
+ *
+ * @param {ByKey} byKey
+ * @param {Key} key
+ * @param {Command} command
+ */
+function clash(byKey, key, { view }) {
+  return byKey.get(signature(key))?.find((other) => view === undefined || other.view === undefined || other.view === view);
+}
+
+/**
+ * @param {ByKey} byKey
+ * @param {Key} key
+ * @param {Command} command
+ */
+function put(byKey, key, command) {
+  byKey.set(signature(key), [...byKey.get(signature(key)) ?? [], command]);
+}
+
 /** The keys that an event may mean, most likely first. Symbols that need Shift on some layouts only
  * (for example ?) match with and without it.
  *
@@ -50,7 +79,8 @@ function pressed(event) {
 
 /** The commands of a page, `{key, shift, ctrl, group, title, row, run}`, with the keys that the user chose.
  * Commands with the same `row` share a row of the help. Entries without `run` are mouse gestures, for
- * the help only. Stored key changes refer to a command by its default key. */
+ * the help only. Commands of different views may share a key. Stored key changes refer to a command by its
+ * default key. */
 export class Keys {
   /** Changed keys are stored in localStorage under the name `page`.
    *
@@ -60,11 +90,13 @@ export class Keys {
   constructor(page, commands = []) {
     this.storageKey = `semviz.keys.${page}`;
     this.onchange = () => {};
+    this.view = ""; // on screen
+    this.enter = (/** @type {string} */ view) => { this.view = view; }; // shows a view, for a command of it
     /** @type {Command[]} */
     this.commands = [];
-    /** @type {Record<string, Key>} by a command's default key */
+    /** @type {Record<string, Key>} by the names of commands */
     this.changed = {};
-    /** @type {Map<string, Command>} by present key */
+    /** @type {ByKey} by present key */
     this._byKey = new Map();
     this.use(commands);
   }
@@ -75,11 +107,12 @@ export class Keys {
    */
   use(commands) {
     this.commands = commands;
+    /** @type {ByKey} */
     const defaults = new Map();
     for (const command of commands) {
-      const other = defaults.get(signature(command));
+      const other = clash(defaults, command, command);
       if (other) throw new Error(`${keyName(command)} is both "${other.title}" and "${command.title}"`);
-      defaults.set(signature(command), command);
+      put(defaults, command, command);
     }
     this._apply(JSON.parse(localStorage.getItem(this.storageKey) ?? "{}"));
     this.onchange();
@@ -91,16 +124,27 @@ export class Keys {
    * @returns {Key}
    */
   of(command) {
-    return this.changed[signature(command)] ?? command;
+    return this.changed[nameOf(command)] ?? command;
   }
 
-  /** The name of a command's present key, by the name of its default key, for example `Shift Enter`.
+  /** The name of a command's present key, by the name of its default key, for example `Shift Enter`. If
+   * several views have one, it is that of the view on screen.
    *
    * @param {string} name
    */
   shown(name) {
-    const command = this.commands.find((candidate) => candidate.run && keyName(candidate) === name);
+    const named = this.commands.filter((candidate) => candidate.run && keyName(candidate) === name);
+    const command = named.find(({ view }) => view === undefined || view === this.view) ?? named[0];
     return command ? keyName(this.of(command)) : name;
+  }
+
+  /** Runs a command that was chosen by its name, in its view.
+   *
+   * @param {Command} command
+   */
+  run(command) {
+    if (command.view !== undefined && command.view !== this.view) this.enter(command.view);
+    command.run?.();
   }
 
   /** Whether the key of `command` may be changed.
@@ -119,13 +163,13 @@ export class Keys {
   change(command, event) {
     const key = pressed(event).slice(-1)[0];
     const [id, name] = [signature(key), keyName(key)];
-    const other = this._byKey.get(id);
-    if (other && other !== command) return `${name} is both “${other.title}” and “${command.title}”: nothing was changed.`;
+    const other = this._byKey.get(id)?.find((one) => one !== command && clash(new Map([[id, [one]]]), key, command));
+    if (other) return `${name} is both “${other.title}” and “${command.title}”: nothing was changed.`;
     const isDefault = id === signature(command);
     if (!isDefault && !key.ctrl && CAMERA_KEYS.has(key.key.toLowerCase())) return `${name} moves the camera of the 3D scene: nothing was changed.`;
     if (BROWSER_KEYS.has(id)) return `${name} belongs to the browser: nothing was changed.`;
-    const changed = { ...this.changed, [signature(command)]: key };
-    if (isDefault) delete changed[id];
+    const changed = { ...this.changed, [nameOf(command)]: key };
+    if (isDefault) delete changed[nameOf(command)];
     this._store(changed);
     return "";
   }
@@ -146,7 +190,7 @@ export class Keys {
       const key = event.key.toLowerCase();
       if (isScene && !event.ctrlKey && CAMERA_KEYS.has(key)) return;
       if (!isScene && CONTROL_KEYS.has(key) && event.target instanceof Element && event.target.matches(CONTROLS)) return;
-      const command = pressed(event).map((key) => this._byKey.get(signature(key))).find(Boolean);
+      const command = pressed(event).map((key) => this._at(key)).find(Boolean);
       if (!command?.run || document.querySelector("dialog[open]")) return;
       event.preventDefault();
       event.stopImmediatePropagation();
@@ -157,6 +201,14 @@ export class Keys {
     target.addEventListener("mousedown", (event) => {
       if (event.target instanceof Element && event.target.closest("button")) event.preventDefault();
     });
+  }
+
+  /** The command that a key runs in the view on screen.
+   *
+   * @param {Key} key
+   */
+  _at(key) {
+    return this._byKey.get(signature(key))?.find(({ view }) => view === undefined || view === this.view);
   }
 
   /** @param {Record<string, Key>} changed */
@@ -171,16 +223,17 @@ export class Keys {
    * @param {Record<string, Key>} changed
    */
   _apply(changed) {
+    /** @type {ByKey} */
     const byKey = new Map();
     for (const command of this.commands) {
-      const [own, key] = [signature(command), changed[signature(command)] ?? command];
-      const other = byKey.get(signature(key));
+      const own = nameOf(command), key = changed[own] ?? command;
+      const other = clash(byKey, key, command);
       if (other) {
-        const { [own in changed ? own : signature(other)]: _, ...rest } = changed;
+        const { [own in changed ? own : nameOf(other)]: _, ...rest } = changed;
         this._apply(rest);
         return;
       }
-      byKey.set(signature(key), command);
+      put(byKey, key, command);
     }
     this.changed = changed;
     this._byKey = byKey;

@@ -79,6 +79,6 @@ class Palette {
   /** @param {Command} command */
   #run(command) {
     this.dialog.close();
-    command.run?.();
+    this.keys.run(command);
   }
 }

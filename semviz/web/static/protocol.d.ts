@@ -25,6 +25,12 @@ export interface AcceptEdit {
   marks: Array<DrawnMark>;
 }
 
+/** Accept the review of a frame as it is. The row stays as it is, and the operation becomes its last writer: whoever reviews the frame anew takes the acceptance away. */
+export interface AcceptFrame {
+  frame_index: number;
+  kind: "accept frame";
+}
+
 /** Accept all sure tracks; ``count`` is their number as the page showed it. */
 export interface AcceptSureTracksEdit {
   kind: "accept sure tracks";
@@ -69,15 +75,23 @@ export interface AlignLabelsEdit {
 export interface AnswerView {
   name: string;
   title: string;
-  edit: AddObservation | AddMany | Dismiss | MoveObservation | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | ReviewFrame | DecideElements | RevokeDecision;
+  edit: AddObservation | AddMany | Dismiss | MoveObservation | ReSnap | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | SetClassOfViews | ReviewFrame | AcceptFrame | SendBackFrame | DecideElements | RevokeDecision | DeleteNote;
 }
 
 /** Apply an edit; its ``id`` is stored, so a request that is sent twice is applied once. */
 export interface ApplyEditRequest {
   type: "apply_edit";
   id: string;
-  edit: DrawEdit | AcceptEdit | AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit | AlignLabelsEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | ReviewFrame | DecideElements | RevokeDecision;
+  edit: DrawEdit | AcceptEdit | AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit | AlignLabelsEdit | NoteEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | ReSnap | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | SetClassOfViews | ReviewFrame | AcceptFrame | SendBackFrame | DecideElements | RevokeDecision | DeleteNote;
   base?: EditBase | null;
+}
+
+/** Assign a range of frames to a person; without one, take all of them away. */
+export interface AssignFramesRequest {
+  type: "assign_frames";
+  id: string;
+  person: string;
+  frames: [number, number] | null;
 }
 
 /** Whether there is a backdrop to show; if not, ``note`` says why and what to do. */
@@ -150,7 +164,7 @@ export interface DecideElements {
   kind: "judge";
 }
 
-/** Delete an element with its observations, dismissals and decisions. */
+/** Delete an element with its observations, dismissals, decisions and notes. */
 export interface DeleteElement {
   element_id: string;
   kind: "delete element";
@@ -160,6 +174,12 @@ export interface DeleteElement {
 export interface DeleteMany {
   observation_ids: Array<string>;
   kind: "delete many";
+}
+
+/** Delete a note: the question is answered. */
+export interface DeleteNote {
+  note_id: string;
+  kind: "delete note";
 }
 
 /** Delete one observation; deleting the last one deletes its element. */
@@ -384,6 +404,18 @@ export interface ElementDraft {
   whole?: boolean;
 }
 
+/** A note with its element. */
+export interface ElementNote {
+  id: string;
+  frame: number | null;
+  unsure: boolean;
+  text: string;
+  author: string;
+  time: string;
+  element: string;
+  name: string;
+}
+
 /** An element labelled in the images on the page, with its observations there. */
 export interface ElementView {
   id: string;
@@ -503,7 +535,7 @@ export interface LabelsView {
   frames: Array<FrameSummary>;
 }
 
-/** State that label elements are one landmark: the smallest number keeps all observations. Decisions about the others pass to the element that is kept, unless it has its own. A decision that two of them are apart is revoked. */
+/** State that label elements are one landmark: the smallest number keeps all observations. Notes on the others pass to the element that is kept. So do decisions, unless it has its own. A decision that two of them are apart is revoked. */
 export interface Link {
   element_ids: Array<string>;
   kind: "link";
@@ -532,6 +564,14 @@ export interface MapSummary {
   findings: number;
   building: string | null;
   failure: string;
+}
+
+/** The nearest element of the same class that no image shows together with this one. */
+export interface MergeOffer {
+  id: string;
+  name: string;
+  class_id: number;
+  away_m: number;
 }
 
 /** Move the anchor, the end or both; None leaves a point unchanged. */
@@ -571,6 +611,26 @@ export interface NearbyView {
   name: string;
   class_id: number;
   labelled_in: number;
+}
+
+/** Write a note on an element, in the name of who is connected. */
+export interface NoteEdit {
+  kind: "note";
+  note_id: string;
+  element_id: string;
+  frame_index?: number | null;
+  unsure?: boolean;
+  text?: string;
+}
+
+/** A note on an element. */
+export interface NoteView {
+  id: string;
+  frame: number | null;
+  unsure: boolean;
+  text: string;
+  author: string;
+  time: string;
 }
 
 /** A label in one image. */
@@ -620,6 +680,20 @@ export interface PastFrameEvent {
   type: "past_frame";
   reply_to: string | null;
   past: PastFrame;
+}
+
+/** Who may label this workspace, and where they are; sent when it changes. */
+export interface PeopleEvent {
+  type: "people";
+  reply_to: string | null;
+  people: Array<PersonView>;
+}
+
+/** Somebody who was invited, or who started the server and has a page open. */
+export interface PersonView {
+  name: string;
+  role: "annotate" | "review" | "look";
+  frames: Array<number>;
 }
 
 /** What a person may choose, and what it costs. */
@@ -704,6 +778,13 @@ export interface PreviewDraftRequest {
   draft: DraftState;
 }
 
+/** Find where the accepted labels of an element snap to; ``resnap`` follows. */
+export interface PreviewReSnapRequest {
+  type: "preview_resnap";
+  id: string;
+  element_id: string;
+}
+
 /** The proposed mark of an element in one image. */
 export interface ProposalMark {
   anchor: [number, number];
@@ -729,6 +810,39 @@ export interface ProposalView {
   score: number | null;
   track: TrackView | null;
   marks: Partial<Record<"left" | "right", ProposalMark>>;
+}
+
+/** A reviewed frame, or one that was sent back. */
+export interface QueueEntry {
+  frame: number;
+  state: "waiting" | "sent back" | "accepted";
+  person: string;
+  elements: number;
+  stands_out: string;
+  notes: Array<ElementNote>;
+  time: string;
+}
+
+/** Move observations to the edges that the images show, all or none. */
+export interface ReSnap {
+  moves: Array<MoveObservation>;
+  kind: "re-snap";
+}
+
+/** What a re-snap of an element would do. */
+export interface ReSnapEvent {
+  type: "resnap";
+  reply_to: string | null;
+  element: string;
+  preview: ReSnapPreview;
+}
+
+/** What a re-snap would do. */
+export interface ReSnapPreview {
+  moves: Array<SnapMove>;
+  by_px: number;
+  unclear: number;
+  drawn: number;
 }
 
 /** Redo what the author undid last. */
@@ -826,10 +940,25 @@ export interface SceneEvent {
   reply_to: string | null;
 }
 
+/** Search the images of a range of frames for an element; ``track_proposals`` follows. A later one replaces it. */
+export interface SearchTrackRequest {
+  type: "search_track";
+  id: string;
+  element_id: string;
+  first: number;
+  last: number;
+}
+
 /** The wish for another second image than the usual one. */
 export interface SecondImage {
   camera?: string | null;
   step?: number | null;
+}
+
+/** Send a reviewed frame back to who labelled it: it is in work again. */
+export interface SendBackFrame {
+  frame_index: number;
+  kind: "send back";
 }
 
 /** Show or hide the backdrop in 3D; one that was made meanwhile is found. */
@@ -844,6 +973,14 @@ export interface SetClass {
   element_id: string;
   class_id: number;
   kind: "set class";
+}
+
+/** Change the class of some observations of an element, within its kind. If they are not all of its observations, they become a new element, kept apart from it. */
+export interface SetClassOfViews {
+  observation_ids: Array<string>;
+  class_id: number;
+  new_element_id: string;
+  kind: "set class of views";
 }
 
 /** Set whether the ends of a pole are visible, not cut off or hidden; None: unchanged. */
@@ -907,6 +1044,32 @@ export interface ShowReviewRequest {
   by?: -1 | 0 | 1;
 }
 
+/** Request who has what, and the queue. */
+export interface ShowTeamRequest {
+  type: "show_team";
+  id: string;
+}
+
+/** Request one element: its labels, what is wrong, what could be done. */
+export interface ShowTrackRequest {
+  type: "show_track";
+  id: string;
+  element_id: string;
+}
+
+/** Request the rows of all elements; those that are not known yet follow. */
+export interface ShowTracksRequest {
+  type: "show_tracks";
+  id: string;
+}
+
+/** Where a label snaps to. */
+export interface SnapMove {
+  observation_id: string;
+  anchor_px: [number, number];
+  end_px: [number, number] | null;
+}
+
 /** A drawing snapped to edges; its ends move by ``by_px`` at most. */
 export interface SnappedMark {
   anchor: [number, number];
@@ -954,6 +1117,115 @@ export interface SwapEnds {
   kind: "swap ends";
 }
 
+/** The work of all. */
+export interface TeamEvent {
+  type: "team";
+  reply_to: string | null;
+  team: TeamView;
+}
+
+/** One person's share of the work. */
+export interface TeamPerson {
+  name: string;
+  ranges: Array<[number, number]>;
+  assigned: number;
+  reviewed: number;
+  pace: number;
+  edits: number;
+  last: string;
+}
+
+/** The work of all. */
+export interface TeamView {
+  people: Array<TeamPerson>;
+  queue: Array<QueueEntry>;
+}
+
+/** One element, as of an operation. */
+export interface TrackDetails {
+  id: string;
+  operation: number;
+  hash: string;
+  labels: Array<TrackLabel>;
+  split: TrackSplit | null;
+  merge: MergeOffer | null;
+  place: string;
+  drawn_by: string;
+}
+
+/** One element. */
+export interface TrackEvent {
+  type: "track";
+  reply_to: string | null;
+  track: TrackDetails;
+}
+
+/** Elements that are expected in the images of a frame and not labelled there, by number. */
+export interface TrackFrame {
+  index: number;
+  left: Array<number>;
+  right: Array<number>;
+}
+
+/** A label of the element, with what the card and the strip of views show of it. */
+export interface TrackLabel {
+  id: string;
+  frame: number;
+  side: "left" | "right";
+  anchor: [number, number];
+  end: [number, number] | null;
+  px: number | null;
+  size_px: number;
+  accepted: boolean;
+}
+
+/** A proposed label of the element, confirmed by its image or not. */
+export interface TrackProposal {
+  id: string;
+  frame: number;
+  side: "left" | "right";
+  anchor: [number, number];
+  end: [number, number] | null;
+  anchor_known: boolean;
+  end_known: boolean;
+  score: number;
+  is_confident: boolean;
+}
+
+/** What the images of a range of frames show of an element that is not labelled there. */
+export interface TrackProposalsEvent {
+  type: "track_proposals";
+  reply_to: string | null;
+  element: string;
+  first: number;
+  last: number;
+  proposals: Array<TrackProposal>;
+}
+
+/** An element in all frames from the first that shows something of it to the last. */
+export interface TrackRow {
+  id: string;
+  name: string;
+  class_id: number;
+  number: number;
+  first: number;
+  left: Array<number>;
+  right: Array<number>;
+  views: number;
+  worst_px: number | null;
+  score: number | null;
+  sure: boolean;
+  left_out: boolean;
+  notes: Array<NoteView>;
+}
+
+/** The labels fit two elements better than one. */
+export interface TrackSplit {
+  frame: number;
+  title: string;
+  text: string;
+}
+
 /** A track of detections, which is accepted or rejected as a whole. */
 export interface TrackView {
   frames: number;
@@ -963,12 +1235,22 @@ export interface TrackView {
   existence: string;
 }
 
+/** Rows of elements and open tracks, and what is expected in frames; added to those before. */
+export interface TracksEvent {
+  type: "tracks";
+  reply_to: string | null;
+  rows: Array<TrackRow>;
+  frames: Array<TrackFrame>;
+  total: number | null;
+  waiting: number;
+}
+
 /** Undo the author's last edit. */
 export interface UndoEdit {
   kind: "undo";
 }
 
-/** State that observations of an element show another landmark: a new element, kept apart. */
+/** State that observations of an element show another landmark: a new element, kept apart. Notes on frames that only the new element is labelled in go along. */
 export interface Unlink {
   observation_ids: Array<string>;
   new_element_id: string;
@@ -980,7 +1262,7 @@ export interface UpdateEvent {
   type: "update";
   reply_to: string | null;
   labels: LabelsView;
-  frame: LabelledFrameView;
+  frame: LabelledFrameView | null;
 }
 
 /** The workspace and its labels; sent when the page connects. */
@@ -997,6 +1279,7 @@ export interface WorkspaceView {
   key: string;
   source: string;
   author: string;
+  role: "annotate" | "review" | "look";
   classes: Array<ElementClass>;
   triangle_center: "box" | "centroid";
   images: Partial<Record<"left" | "right", ImageSize>>;
@@ -1012,6 +1295,7 @@ export interface WorstLabel {
 
 export interface Requests {
   apply_edit: ApplyEditRequest;
+  assign_frames: AssignFramesRequest;
   build_map: BuildMapRequest;
   choose_poses: ChoosePosesRequest;
   close_review: CloseReviewRequest;
@@ -1019,6 +1303,8 @@ export interface Requests {
   list_named_states: ListNamedStatesRequest;
   list_operations: ListOperationsRequest;
   preview_draft: PreviewDraftRequest;
+  preview_resnap: PreviewReSnapRequest;
+  search_track: SearchTrackRequest;
   set_backdrop: SetBackdropRequest;
   set_theme: SetThemeRequest;
   show_drive: ShowDriveRequest;
@@ -1027,6 +1313,9 @@ export interface Requests {
   show_pose_frame: ShowPoseFrameRequest;
   show_poses: ShowPosesRequest;
   show_review: ShowReviewRequest;
+  show_team: ShowTeamRequest;
+  show_track: ShowTrackRequest;
+  show_tracks: ShowTracksRequest;
   stop_map_build: StopMapBuildRequest;
 }
 
@@ -1045,12 +1334,18 @@ export interface Events {
   named_states: NamedStatesEvent;
   operations: OperationsEvent;
   past_frame: PastFrameEvent;
+  people: PeopleEvent;
   pose_frame: PoseFrameEvent;
   poses: PosesEvent;
   poses_chosen: PosesChosenEvent;
+  resnap: ReSnapEvent;
   review: ReviewEvent;
   saved_operation: SavedOperationEvent;
   scene: SceneEvent;
+  team: TeamEvent;
+  track: TrackEvent;
+  track_proposals: TrackProposalsEvent;
+  tracks: TracksEvent;
   update: UpdateEvent;
   workspace: WorkspaceEvent;
 }

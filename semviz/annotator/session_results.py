@@ -1,0 +1,37 @@
+"""What a labelling session returns: an edit on disk, a slice of its background analysis."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
+
+from semviz.annotator.track_rows import TrackRow
+from semviz.annotator.views import FrameSummary
+from semviz_annotation.labels.edits import AnyEdit
+from semviz_annotation.storage.store import Operation
+
+Write: TypeAlias = Callable[[AnyEdit], Operation]
+"""Writes an edit in the name of whose page sent it, against what that page had shown."""
+
+
+@dataclass(frozen=True)
+class SavedEdit:
+    """An edit that is on disk."""
+
+    operation: Operation
+    element_id: str | None
+    """The element to which a drawing, link or unlinked view now belongs; None for other edits."""
+    frame: int | None
+    """The frame it changed, if in this sequence; the page goes there after an undo."""
+    added: int = 0
+    """Number of observations added; negative for removed ones."""
+    note: str = ""
+    """Message for the user."""
+
+
+class Analyzed(NamedTuple):
+    """What one slice of the background analysis found."""
+
+    frames: tuple[FrameSummary, ...]
+    rows: tuple[TrackRow, ...]
+    is_done: bool
+    """Whether all is up to date."""

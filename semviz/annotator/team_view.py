@@ -1,0 +1,188 @@
+"""Who has what, how far everybody is, and which frames wait for a reviewer."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import Field
+
+from semviz.annotator.frame_quality import FrameQuality
+from semviz.annotator.track_rows import NoteView, note_view
+from semviz.annotator.views import label_element_name
+from semviz.web.protocol import Event, Part, Request
+from semviz.workspace.people import Person
+from semviz_annotation.labels.labels import Labels
+from semviz_annotation.storage.operations import Writer
+from semviz_annotation.storage.store import LabelStore
+from semviz_annotation.storage.teamwork import AssignedFrames
+from semviz_core.base.classes import ClassSet
+from semviz_core.common.errors import SemvizError
+
+QueueState: TypeAlias = Literal["waiting", "sent back", "accepted"]
+STANDS_OUT_PX = 3.0
+FEW_ELEMENTS = 4
+PACE_HOURS = 8
+"""The pace of a person counts the frames reviewed in so many hours."""
+
+
+class TeamPerson(Part):
+    """One person's share of the work."""
+
+    name: str
+    ranges: list[tuple[int, int]]
+    """Assigned frames, first and last."""
+    assigned: int
+    """Number of frames in these ranges."""
+    reviewed: int
+    """How many of them are reviewed; without ranges, how many this person reviewed last."""
+    pace: int
+    """Frames that this person marked as reviewed in the last eight hours."""
+    edits: int
+    last: str
+    """Time of the last edit, UTC; empty for none."""
+
+
+class ElementNote(NoteView):
+    """A note with its element."""
+
+    element: str
+    name: str
+
+
+class QueueEntry(Part):
+    """A reviewed frame, or one that was sent back."""
+
+    frame: int
+    state: QueueState
+    person: str
+    """Who marked it as reviewed, accepted it, or sent it back."""
+    elements: int
+    stands_out: str
+    """What a reviewer should look at; empty for nothing."""
+    notes: list[ElementNote]
+    time: str
+
+
+class TeamView(Part):
+    """The work of all."""
+
+    people: list[TeamPerson]
+    queue: list[QueueEntry]
+    """By frame."""
+
+
+class ShowTeamRequest(Request):
+    """Request who has what, and the queue."""
+
+    type: Literal["show_team"] = "show_team"
+
+
+class AssignFramesRequest(Request):
+    """Assign a range of frames to a person; without one, take all of them away."""
+
+    type: Literal["assign_frames"] = "assign_frames"
+    person: str
+    frames: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]] | None
+
+
+class TeamEvent(Event):
+    """The work of all."""
+
+    type: Literal["team"] = "team"
+    team: TeamView
+
+
+@dataclass(frozen=True, eq=False)
+class TeamWork:
+    """Reads the work of all from the labels and their log. One thread at a time."""
+
+    store: LabelStore
+    quality: FrameQuality
+    classes: ClassSet
+    order: tuple[int, ...]
+    """Indices of frames."""
+
+    def view(self, people: Mapping[str, Person], owner: str) -> TeamView:
+        """Return the work of who was invited, of the owner, and of all who labelled."""
+        labels = self.store.labels
+        writers, tallies, assigned = self.store.teamwork()
+        names = sorted({*people, owner, *tallies, *assigned})
+        recent = (datetime.now(UTC) - timedelta(hours=PACE_HOURS)).isoformat()
+        team = []
+        for name in names:
+            own = [frame for frame, writer in writers.items() if writer.author == name]
+            ranges = assigned.get(name, [])
+            frames = {i for i in self.order if any(r.first <= i <= r.last for r in ranges)}
+            done = [i for i in (frames or own) if labels.review(i).startswith("reviewed")]
+            pace = [i for i in own if writers[i].kind == "review" and writers[i].time > recent]
+            tally = tallies.get(name)
+            team.append(
+                TeamPerson(
+                    name=name,
+                    ranges=[(part.first, part.last) for part in ranges],
+                    assigned=len(frames),
+                    reviewed=len(done),
+                    pace=len(pace),
+                    edits=tally.edits if tally else 0,
+                    last=tally.last if tally else "",
+                )
+            )
+        queue = [
+            self._entry(index, state, writers[index], labels)
+            for index in self.order
+            if index in writers and (state := _state(index, writers[index], labels))
+        ]
+        return TeamView(people=team, queue=queue)
+
+    def checked(self, frames: tuple[int, int] | None) -> AssignedFrames | None:
+        """Return a range of frames. Raise SemvizError if the sequence has none of them."""
+        if frames is None:
+            return None
+        first, last = frames
+        if not any(first <= index <= last for index in self.order):
+            raise SemvizError(f"there are no frames {first} to {last}")
+        return AssignedFrames(first, last)
+
+    def _entry(self, index: int, state: QueueState, writer: Writer, labels: Labels) -> QueueEntry:
+        elements = {row.element_id for row in labels.in_frame(index)}
+        notes = [
+            ElementNote(
+                **note_view(note).model_dump(),
+                element=element_id,
+                name=label_element_name(labels.elements[element_id], self.classes),
+            )
+            for element_id in sorted(elements)
+            for note in labels.notes_of(element_id)
+            if note.frame_index == index
+        ]
+        return QueueEntry(
+            frame=index,
+            state=state,
+            person=writer.author,
+            elements=len(elements),
+            stands_out=self._stands_out(index, labels, len(elements), notes),
+            notes=notes,
+            time=writer.time,
+        )
+
+    def _stands_out(
+        self, index: int, labels: Labels, elements: int, notes: Iterable[ElementNote]
+    ) -> str:
+        for note in notes:
+            if note.unsure:
+                return f"{note.name} unsure"
+        facts = self.quality.of(index)
+        worst = None if facts is None else labels.elements.get(facts.worst_id or "")
+        if facts is not None and worst is not None and facts.worst_px > STANDS_OUT_PX:
+            return f"{label_element_name(worst, self.classes)}: residual {facts.worst_px:.1f} px"
+        if labels.review(index) == "reviewed, empty":
+            return "reviewed, empty"
+        return f"under {FEW_ELEMENTS} elements" if elements < FEW_ELEMENTS else ""
+
+
+def _state(index: int, writer: Writer, labels: Labels) -> QueueState | None:
+    """Return where a frame stands; None if it is in work and was not sent back."""
+    if labels.review(index).startswith("reviewed"):
+        return "accepted" if writer.kind == "accept frame" else "waiting"
+    return "sent back" if writer.kind == "send back" else None
