@@ -30,23 +30,34 @@ def small_run() -> Run:
 
 @lru_cache
 def run_with_a_moved_pole() -> tuple[Run, int]:
-    """The same in a map where the pole that most frames see stands elsewhere, and its id."""
+    """The same in a map where the pole that most frames see stands elsewhere, and its id.
+
+    Four others are seen in each frame: with more, the pole would spoil no pose.
+    """
     street = Street(7)
     poles = street.truth_map.elements.id[street.truth_map.elements.is_line]
     seen = np.concatenate([frame.element_id for frame in small_run().frames])
     pole = int(np.bincount(seen[np.isin(seen, poles)]).argmax())
     info = replace(small_run().info, name="moved", map_name="moved")
-    return _localized(info, street, move_element(street.truth_map, pole, (1.5, 0.8, 0.0))), pole
+    moved = move_element(street.truth_map, pole, (1.5, 0.8, 0.0))
+    return _localized(info, street, moved, pole), pole
 
 
-def _localized(info: RunInfo, street: Street, semantic_map: SemanticMap) -> Run:
-    frames = tuple(_record(info, street, index, semantic_map) for index in FRAMES)
+def _localized(
+    info: RunInfo, street: Street, semantic_map: SemanticMap, pole: int | None = None
+) -> Run:
+    frames = tuple(_record(info, street, index, semantic_map, pole) for index in FRAMES)
     return Run(info, semantic_map, frames)
 
 
-def _record(info: RunInfo, street: Street, index: int, semantic_map: SemanticMap) -> FrameRecord:
+def _record(
+    info: RunInfo, street: Street, index: int, semantic_map: SemanticMap, pole: int | None
+) -> FrameRecord:
     frame = street.frames[index]
     observed, ids = street.labels(index, "left")
+    if pole is not None:
+        rows = np.sort([*np.flatnonzero(ids == pole), *np.flatnonzero(ids != pole)[:4]])
+        observed, ids = observed[rows], ids[rows]
     assert frame.T_map_camera is not None
     prior = simulate_prior(frame.T_map_camera, PriorOptions((1.0, 2.0)), (0, index))
     submap = semantic_map.crop(prior.position_m, 50.0)

@@ -27,7 +27,7 @@ from semviz_core.simulation.street import Street
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-FRAMES = (10, 12, 14, 18, 54, 56)
+FRAMES = (10, 12, 14, 21, 54, 56)
 SPOILED = 29
 """The pole that stands elsewhere in the map of the second run."""
 MOVED_M = 2.1
@@ -60,7 +60,7 @@ def record(street: Street, semantic_map: SemanticMap, path: Path, frames: tuple[
 def paths(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
     """A run in the true map, one in a faulty map without the last frame, one of another drive."""
     folder, street = tmp_path_factory.mktemp("runs"), Street(7)
-    faulty = move_element(street.truth_map, SPOILED, (1.5, 1.5, 0.0))
+    faulty = move_element(street.truth_map, SPOILED, (0.0, MOVED_M, 0.0))
     elsewhere = replace(street.truth_map, frame=MapFrame("other-street"))
     return (
         record(street, street.truth_map, folder / "good.rrd", FRAMES),

@@ -21,10 +21,10 @@ from semviz.workspace.demo import SECTIONS, SEED, SPACING_M
 from semviz.workspace.localize import (
     CROP_RADIUS_M,
     LocalizeOptions,
-    SequenceTracker,
     localize_workspace,
     simulated_odometry,
 )
+from semviz.workspace.sequence_tracker import SequenceTracker
 from semviz.workspace.workspace import TRUTH, Workspace
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Odometry, Prior

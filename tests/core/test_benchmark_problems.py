@@ -205,7 +205,8 @@ def prior_errors(difficulty: Difficulty) -> np.ndarray:
         prior, truth = problem.prior, problem.T_camera_map.inverse()
         x, y, z = truth.translation
         assert prior.road_m is not None
-        height = (z - road_height(prior.road_m, x, y, z)[0]) / prior.vertical_sigma_m
+        road_m = prior.road_m[np.argsort(prior.road_m[:, 0])]
+        height = (z - road_height(road_m, x, y, z)[0]) / prior.vertical_sigma_m
         place = (prior.position_m - truth.translation)[:2] / prior.horizontal_sigma_m
         up = np.zeros(2)
         if prior.up_camera is not None:

@@ -138,6 +138,7 @@ def test_where_roads_cross_the_height_is_that_of_the_nearer_one() -> None:
     low = np.stack([along, 0.0 * along, 0.0 * along], axis=1)
     high = np.stack([0.0 * along, along, 6.0 + 0.0 * along], axis=1)
     road = np.concatenate([low, high])
+    road = road[np.argsort(road[:, 0])]
     assert road_height(road, 0.3, 0.2, 0.4)[0] == pytest.approx(0.0, abs=1e-9)
     assert road_height(road, 0.3, 0.2, 5.5)[0] == pytest.approx(6.0, abs=1e-9)
 

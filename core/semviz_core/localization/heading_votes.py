@@ -39,7 +39,7 @@ from semviz_core.localization.upright import (
 class Effort(NamedTuple):
     """Limits of a search. A view is one assumed direction of up."""
 
-    step_m: float = 3.6
+    step_m: float = 3.0
     """Grid step of positions; fits converge from several times as far."""
     polished: int = 100
     """Most candidates refined and rated, per view, behind an ordinary fix; fewer if ``started`` is

@@ -77,7 +77,7 @@ def prior_chi2(prior: PriorRecord, R: FloatArray, t: FloatArray) -> float:
 def road_height(road_m: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return the height of a camera on the road at (x, y), and its slopes along x and y.
 
-    Of several passes, the one nearest to (x, y, z) counts.
+    ``road_m`` is ordered by x. Of several passes, the one nearest to (x, y, z) counts.
     """
     nearest, first, least = _FAR_M2, 0, 0.0
     for reach_m in (NEAR_ROAD_M, np.inf):
