@@ -19,7 +19,7 @@ from semviz_annotation.assist.stereo_matching import stereo_pairs
 from semviz_annotation.labels.labels import Labels, proposal_id
 from semviz_annotation.labels.proposal import Proposal
 from semviz_annotation.labels.proposals import Proposals
-from semviz_annotation.labels.rows import derived_id
+from semviz_annotation.labels.rows import REVIEWED, derived_id
 from semviz_core.base.frame import Side
 
 
@@ -294,7 +294,7 @@ def labelled_content(
             near = depth_m(row.element_id) <= REACH_M and not labels.is_left_out(row.element_id)
             weight = LABELLED if near else 0.0
             contents.append(LabelledContent(row.element_id, pane, Mark.of(row), weight))
-        reviewed = labels.review(pane.frame_index) in ("reviewed", "reviewed, empty")
+        reviewed = labels.review(pane.frame_index) in REVIEWED
         for projection in projections:
             if projection.side == pane.side:
                 name = proposal_id(projection.element_id, pane.frame_index, pane.side)

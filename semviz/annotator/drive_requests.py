@@ -3,15 +3,14 @@
 Poses are compared, shown frame by frame, and chosen; choices are undone and redone.
 """
 
-import threading
 from collections.abc import Callable
-from concurrent.futures import Executor
 from typing import Protocol
 
 from semviz.annotator import messages, pose_views
 from semviz.annotator.drive_view import DrivePair, drive_pair, drive_view
 from semviz.annotator.messages import PageEdit
 from semviz.annotator.pose_views import PoseWork, pose_marks
+from semviz.annotator.services import PageServices, SearchServices
 from semviz.annotator.session import LabelSession
 from semviz.reports.pose_check import choice_text
 from semviz.web import protocol
@@ -20,24 +19,11 @@ from semviz.workspace.pose_review import choose_poses, step_choices
 from semviz_core.common.errors import SemvizError
 
 
-class DriveServices(Protocol):
-    """Services that all opened pages of a workspace share."""
-
-    @property
-    def session(self) -> LabelSession: ...
-
-    @property
-    def lock(self) -> threading.RLock: ...
-
-    @property
-    def search_thread(self) -> Executor: ...
-
-
 class DriveRequests:
     """The requests of one opened page about its drive."""
 
     def __init__(
-        self, send: Callable[[messages.AnnotatorEvent], None], shared: DriveServices
+        self, send: Callable[[messages.AnnotatorEvent], None], shared: SearchServices
     ) -> None:
         self._send = send
         self._shared = shared
@@ -71,17 +57,11 @@ class DriveRequests:
         self._send(messages.DriveFrameEvent(pair=pair))
 
 
-class PoseServices(Protocol):
-    """Services that all opened pages of a workspace share."""
-
-    @property
-    def session(self) -> LabelSession: ...
+class PoseServices(PageServices, Protocol):
+    """Those for the poses."""
 
     @property
     def pose_work(self) -> PoseWork: ...
-
-    @property
-    def lock(self) -> threading.RLock: ...
 
     def use_chosen_poses(self) -> None:
         """Open the session again with the poses that are chosen now, and tell all pages."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from semviz.annotator import messages
 from semviz.annotator.scene_view import AnnotatorScene, Shown
-from semviz.annotator.session import LabelSession
+from semviz.annotator.services import PageServices
 from semviz.annotator.views import label_element_name
 from semviz.web import protocol
 from semviz.web.shapes import Theme
@@ -17,20 +17,16 @@ from semviz.web.viser_servers import ViserServers
 from semviz_annotation.mapping.backdrop import Backdrop
 
 
-class SceneServices(Protocol):
-    """Services that all opened pages of a workspace share."""
-
-    @property
-    def session(self) -> LabelSession: ...
-
-    @property
-    def lock(self) -> threading.RLock: ...
+class SceneServices(PageServices, Protocol):
+    """Those for 3D scenes."""
 
     @property
     def scenes(self) -> ViserServers: ...
 
     @property
-    def scene_thread(self) -> Executor: ...
+    def scene_thread(self) -> Executor:
+        """One thread that draws all 3D scenes, so that no edit waits for one."""
+        ...
 
 
 class PageScene:

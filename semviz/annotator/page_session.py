@@ -2,66 +2,37 @@
 
 import threading
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Executor
 from typing import Protocol
 
 from semviz.annotator import messages
 from semviz.annotator.association import SamePlaceError
 from semviz.annotator.draft import LabelledFrameView
-from semviz.annotator.drive_requests import DriveRequests, PoseRequests, PoseUndo
-from semviz.annotator.page_scene import PageScene
+from semviz.annotator.drive_requests import DriveRequests, PoseRequests, PoseServices, PoseUndo
+from semviz.annotator.page_scene import PageScene, SceneServices
 from semviz.annotator.panes import SecondImage
 from semviz.annotator.people_view import PeopleEvent, PersonView
-from semviz.annotator.pose_views import ChoosePosesRequest, PoseWork
+from semviz.annotator.pose_views import ChoosePosesRequest
+from semviz.annotator.services import SearchServices
 from semviz.annotator.session import LabelSession
 from semviz.annotator.session_results import SavedEdit
-from semviz.annotator.team_requests import TeamRequests, needs_review
+from semviz.annotator.team_requests import TeamRequests, TeamServices, needs_review
 from semviz.annotator.team_view import AssignFramesRequest
 from semviz.annotator.track_requests import TrackRequests
 from semviz.annotator.track_rows import TrackFrame, TrackRow
 from semviz.annotator.views import FrameSummary, LabelsView
 from semviz.web import protocol
 from semviz.web.protocol import RefusedError
-from semviz.web.viser_servers import ViserServers
 from semviz.workspace.backdrop import find_backdrop
-from semviz.workspace.people import People, Role
+from semviz.workspace.people import Role
 from semviz_annotation.storage.label_file import Health, LabelFileError
 from semviz_annotation.storage.operations import ConflictError, ReplacedLogError
 
 
-class AnnotatorServices(Protocol):
-    """Services that all opened pages of a workspace share."""
-
-    @property
-    def session(self) -> LabelSession: ...
-
-    @property
-    def lock(self) -> threading.RLock:
-        """Held around every use of ``session``."""
-        ...
-
-    @property
-    def pose_work(self) -> PoseWork: ...
+class AnnotatorServices(PoseServices, SearchServices, TeamServices, SceneServices, Protocol):
+    """All services of the annotator."""
 
     @property
     def pose_steps(self) -> PoseUndo: ...
-
-    def use_chosen_poses(self) -> None:
-        """Open the session again with the poses that are chosen now, and tell all pages."""
-        ...
-
-    @property
-    def scenes(self) -> ViserServers: ...
-
-    @property
-    def scene_thread(self) -> Executor:
-        """One thread that draws all 3D scenes, so that no edit waits for one."""
-        ...
-
-    @property
-    def search_thread(self) -> Executor:
-        """One thread that searches the images for all pages."""
-        ...
 
     @property
     def pages(self) -> Iterable["AnnotatorPage"]: ...
@@ -70,9 +41,6 @@ class AnnotatorServices(Protocol):
     def updates_queued(self) -> threading.Event:
         """Set when a page has updates to send."""
         ...
-
-    @property
-    def people(self) -> People: ...
 
     def role_of(self, person: str) -> Role | None:
         """Return what a guest may do, "" being who started the server; None: no longer anything."""

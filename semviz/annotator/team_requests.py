@@ -1,11 +1,10 @@
 """Handle the requests of a page about the team: who has what, and the frames that wait."""
 
-import threading
 from collections.abc import Callable
 from typing import Protocol
 
 from semviz.annotator import messages
-from semviz.annotator.session import LabelSession
+from semviz.annotator.services import PageServices
 from semviz.annotator.team_view import AssignFramesRequest, ShowTeamRequest, TeamEvent
 from semviz.web import protocol
 from semviz.web.protocol import RefusedError
@@ -21,14 +20,8 @@ def needs_review(request: protocol.Request) -> bool:
     return isinstance(request, AssignFramesRequest)
 
 
-class TeamServices(Protocol):
-    """Services that all opened pages of a workspace share."""
-
-    @property
-    def session(self) -> LabelSession: ...
-
-    @property
-    def lock(self) -> threading.RLock: ...
+class TeamServices(PageServices, Protocol):
+    """Those for the team."""
 
     @property
     def people(self) -> People: ...
@@ -49,11 +42,14 @@ class TeamRequests:
 
     @protocol.handles(ShowTeamRequest)
     def _show_team(self, request: ShowTeamRequest) -> None:
+        self._send_team(request.id)
+
+    def _send_team(self, reply_to: str) -> None:
         people = self._shared.people.by_name()
         with self._shared.lock:
             session = self._shared.session
             team = session.team.view(people, session.author)
-        self._send(TeamEvent(reply_to=request.id, team=team))
+        self._send(TeamEvent(reply_to=reply_to, team=team))
 
     @protocol.handles(AssignFramesRequest)
     def _assign_frames(self, request: AssignFramesRequest) -> None:
@@ -64,4 +60,4 @@ class TeamRequests:
             frames = session.team.checked(request.frames)
             text = assignment_text(request.person, frames)
             session.team.store.state("assign", text, self._author)
-        self._show_team(ShowTeamRequest(id=request.id))
+        self._send_team(request.id)

@@ -13,6 +13,7 @@ from semviz.annotator.views import label_element_name
 from semviz.web.protocol import Event, Part, Request
 from semviz.workspace.people import Person
 from semviz_annotation.labels.labels import Labels
+from semviz_annotation.labels.rows import REVIEWED
 from semviz_annotation.storage.operations import Writer
 from semviz_annotation.storage.store import LabelStore
 from semviz_annotation.storage.teamwork import AssignedFrames
@@ -114,7 +115,7 @@ class TeamWork:
             own = [frame for frame, writer in writers.items() if writer.author == name]
             ranges = assigned.get(name, [])
             frames = {i for i in self.order if any(r.first <= i <= r.last for r in ranges)}
-            done = [i for i in (frames or own) if labels.review(i).startswith("reviewed")]
+            done = [i for i in (frames or own) if labels.review(i) in REVIEWED]
             pace = [i for i in own if writers[i].kind == "review" and writers[i].time > recent]
             tally = tallies.get(name)
             team.append(
@@ -183,6 +184,6 @@ class TeamWork:
 
 def _state(index: int, writer: Writer, labels: Labels) -> QueueState | None:
     """Return where a frame stands; None if it is in work and was not sent back."""
-    if labels.review(index).startswith("reviewed"):
+    if labels.review(index) in REVIEWED:
         return "accepted" if writer.kind == "accept frame" else "waiting"
     return "sent back" if writer.kind == "send back" else None

@@ -10,11 +10,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from semviz.annotator.element_positions import ElementPositions
+from semviz.annotator.element_positions import ElementPositions, Position
 from semviz.annotator.frame_quality import residual_px
 from semviz.annotator.image_worker import ImageWorker
 from semviz.annotator.panes import Cameras, Pane
 from semviz.annotator.proposals import LabelProposal, inside
+from semviz.annotator.track_rows import residual_of
 from semviz.annotator.views import ElementRef, element_ref
 from semviz.web.protocol import Part
 from semviz_annotation.assist.marked_image import Mark
@@ -137,12 +138,11 @@ class TrackInspector:
         element = self.labels.element(element_id)
         rows = self.labels.of_element(element_id)
         position = self.positions.of_observations(rows)
-        is_placed = isinstance(position, Triangulated)
-        px = [_residual(self.positions, row, position) for row in rows]
-        sizes = [0.0] * len(rows)
-        if isinstance(position, Triangulated):
-            sizes = self.cameras.sizes_px(position, [_pane(row) for row in rows]).tolist()
-        suspect = not is_placed or max((p for p in px if p is not None), default=0.0) > SUSPECT_PX
+        at = position if isinstance(position, Triangulated) else None
+        px = [residual_of(self.positions, row, position) for row in rows]
+        panes = [_pane(row) for row in rows]
+        sizes = [0.0] * len(rows) if at is None else self.cameras.sizes_px(at, panes).tolist()
+        suspect = at is None or max((p for p in px if p is not None), default=0.0) > SUSPECT_PX
         return TrackDetails(
             id=element_id,
             operation=self.end.number,
@@ -161,8 +161,8 @@ class TrackInspector:
                 for row, p, size in zip(rows, px, sizes, strict=True)
             ],
             split=best_split(self.positions, rows) if suspect else None,
-            merge=self._merge(element, position) if isinstance(position, Triangulated) else None,
-            place=_place_text(position) if isinstance(position, Triangulated) else position.reason,
+            merge=None if at is None else self._merge(element, at),
+            place=_place_text(position),
             drawn_by=_drawn_by(placed.values()),
         )
 
@@ -192,7 +192,7 @@ def best_split(positions: ElementPositions, rows: Sequence[Observation]) -> Trac
     starts = [after for _, after in pairwise(frames)]
     if len(starts) > MOST_SPLITS:
         starts = [starts[n] for n in np.linspace(0, len(starts) - 1, MOST_SPLITS).astype(int)]
-    whole = _chi2(positions, rows)
+    whole = _chi2(positions, rows, positions.of_observations(rows))
     best: tuple[float, int, Triangulated, Triangulated] | None = None
     for start in starts:
         parts = (
@@ -201,7 +201,7 @@ def best_split(positions: ElementPositions, rows: Sequence[Observation]) -> Trac
         )
         first, second = (positions.of_observations(part) for part in parts)
         if isinstance(first, Triangulated) and isinstance(second, Triangulated):
-            chi2 = sum(_chi2(positions, part) for part in parts)
+            chi2 = _chi2(positions, parts[0], first) + _chi2(positions, parts[1], second)
             if best is None or chi2 < best[0]:
                 best = chi2, start, first, second
     if best is None or whole - best[0] < SPLIT_GAIN:
@@ -217,19 +217,11 @@ def best_split(positions: ElementPositions, rows: Sequence[Observation]) -> Trac
     )
 
 
-def _chi2(positions: ElementPositions, rows: Sequence[Observation]) -> float:
+def _chi2(positions: ElementPositions, rows: Sequence[Observation], position: Position) -> float:
     """Return the sum of squared residuals, px; infinite without a position."""
-    position = positions.of_observations(rows)
     if not isinstance(position, Triangulated):
         return float("inf")
     return float(sum(residual_px(positions.view(row), row, position) ** 2 for row in rows))
-
-
-def _residual(positions: ElementPositions, row: Observation, position: object) -> float | None:
-    if not isinstance(position, Triangulated) or not positions.posed([row]):
-        return None
-    px = residual_px(positions.view(row), row, position)
-    return px if np.isfinite(px) else None
 
 
 def _away_m(first: Triangulated, second: Triangulated) -> float:
@@ -242,7 +234,9 @@ def _away_m(first: Triangulated, second: Triangulated) -> float:
     return float(np.linalg.norm(middle - (middle @ along) * along))
 
 
-def _place_text(position: Triangulated) -> str:
+def _place_text(position: Position) -> str:
+    if not isinstance(position, Triangulated):
+        return position.reason
     sigma_m = float(np.sqrt(np.trace(position.covariance_m2[:3, :3])))
     return f"{sigma_m:.2f} m, 1σ" if sigma_m < 100.0 else "uncertain along the rays"
 

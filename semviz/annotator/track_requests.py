@@ -1,12 +1,9 @@
 """Handle the requests of a page about tracks: the rows of all elements, and one of them."""
 
-import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
-from typing import Protocol
 
 from semviz.annotator import messages, track_messages
-from semviz.annotator.session import LabelSession
+from semviz.annotator.services import SearchServices
 from semviz.annotator.track_details import TrackProposal
 from semviz.annotator.track_rows import TrackFrame, TrackRow
 from semviz.web import protocol
@@ -16,24 +13,11 @@ MOST_FRAMES = 300
 """Frames of a range that are searched for an element: half a second each on a slow machine."""
 
 
-class TrackServices(Protocol):
-    """Services that all opened pages of a workspace share."""
-
-    @property
-    def session(self) -> LabelSession: ...
-
-    @property
-    def lock(self) -> threading.RLock: ...
-
-    @property
-    def search_thread(self) -> Executor: ...
-
-
 class TrackRequests:
     """Those of one opened page."""
 
     def __init__(
-        self, send: Callable[[messages.AnnotatorEvent], None], shared: TrackServices
+        self, send: Callable[[messages.AnnotatorEvent], None], shared: SearchServices
     ) -> None:
         self._send = send
         self._shared = shared

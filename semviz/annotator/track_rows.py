@@ -84,6 +84,16 @@ def note_view(note: Note) -> NoteView:
     )
 
 
+def residual_of(
+    positions: ElementPositions, row: Observation, position: Position | None
+) -> float | None:
+    """Return the residual of a label, px; None if its element or its frame has no position."""
+    if not isinstance(position, Triangulated) or not positions.posed([row]):
+        return None
+    px = residual_px(positions.view(row), row, position)
+    return px if np.isfinite(px) else None
+
+
 @dataclass
 class TrackRows:
     """Computes the rows of all elements. One thread at a time."""
@@ -198,7 +208,7 @@ class TrackRows:
         for row in rows:
             if row.frame_index not in self._rank:
                 continue
-            px = self._residual(row, position) if isinstance(position, Triangulated) else None
+            px = residual_of(self.positions, row, position)
             worst = px if worst is None else max(worst, px or 0.0)
             code = UNPLACED if px is None else min(round(10.0 * px), _MOST)
             cells[self._rank[row.frame_index], row.side] = code
@@ -216,12 +226,6 @@ class TrackRows:
             left_out=labels.is_left_out(element.id),
             notes=[note_view(note) for note in labels.notes_of(element.id)],
         )
-
-    def _residual(self, row: Observation, position: Triangulated) -> float | None:
-        if not self.positions.posed([row]):
-            return None
-        px = residual_px(self.positions.view(row), row, position)
-        return px if np.isfinite(px) else None
 
     def _dismissed(self, dismissals: Iterable[Dismissal]) -> Iterable[tuple[tuple[int, Side], int]]:
         for row in dismissals:

@@ -134,12 +134,16 @@ class SequenceLocalization:
         if self.jobs > 1 and self.again is not None:
             yield from localized_in_processes(self.again, len(self.frames), self.jobs)
             return
-        self.warmup()
+        self._warm_up_frames()
         yield from self._localized(self.frames)
 
     def warmup(self) -> None:
         """Compile, or load from disk, what localizes, observes and tracks."""
         self.localizer.warmup()
+        self._warm_up_frames()
+
+    def _warm_up_frames(self) -> None:
+        """Do the same for what observes and tracks; the localizer is ready."""
         for _ in self._localized(self.frames[:WARM_UP_FRAMES]):
             pass
 

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import os
 import re
 import socket
 import subprocess
@@ -16,7 +15,7 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from command_line import Call, call
+from command_line import Call, call, call_on_a_full_disk
 
 from semviz import cli
 from semviz.cli import main
@@ -274,25 +273,9 @@ def test_an_interrupted_run_leaves_the_earlier_one(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits the size of files as POSIX does")
 def test_a_full_disk_ends_a_run_and_keeps_its_frames(street: Path) -> None:
-    """A limit on the size of files stands in for the disk."""
     first = street / "runs" / "first.rrd"
     before = first.read_bytes()
-    code = (
-        "import resource, sys\n"
-        "from semviz.cli import main\n"
-        "from semviz.runs import writer\n"
-        "writer.FLUSH_LIMIT_S = 5.0\n"
-        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({len(before) // 2},) * 2)\n"
-        "main(sys.argv[1:])"
-    )
-    command = ["localize", street, "--map", TRUTH, "--out", first]
-    done = subprocess.run(
-        [sys.executable, "-c", code, *command],
-        env=os.environ | {"RUST_LOG": cli.RUST_LOG},  # main sets it too late: rerun is imported
-        capture_output=True,
-        text=True,
-        timeout=100,
-    )
+    done = call_on_a_full_disk(len(before) // 2, "localize", street, "--map", TRUTH, "--out", first)
     assert done.returncode == 2
     (ours,) = (line for line in done.stderr.splitlines() if "compil" not in line)
     assert f"{first.with_name('first.partial.rrd')}: cannot be written" in ours

@@ -1,6 +1,5 @@
 """A run that broke off, anywhere, is read up to there, and written anew as a whole file."""
 
-import os
 import random
 import runpy
 import signal
@@ -15,10 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import Call, call
+from command_line import Call, call, call_on_a_full_disk
 from equality import assert_same
 
-from semviz.cli import RUST_LOG
 from semviz.runs.reader import load_run
 from semviz.runs.run import FrameRecord
 from semviz.runs.writer import RunWriter, repair
@@ -91,25 +89,10 @@ def test_a_repaired_run_is_whole_and_still_interrupted(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits the size of files as POSIX does")
 def test_on_a_full_disk_repair_changes_nothing(tmp_path: Path, whole: bytes) -> None:
-    """A limit on the size of files stands in for the disk."""
     path = tmp_path / "cut.rrd"
     path.write_bytes(whole[: int(0.7 * len(whole))])
     before = path.read_bytes()
-    code = (
-        "import resource, sys\n"
-        "from semviz.cli import main\n"
-        "from semviz.runs import writer\n"
-        "writer.FLUSH_LIMIT_S = 5.0\n"
-        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({len(before) // 2},) * 2)\n"
-        "main(['repair', sys.argv[1]])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, path],
-        env=os.environ | {"RUST_LOG": RUST_LOG},  # main sets it too late: rerun is imported here
-        capture_output=True,
-        text=True,
-        timeout=100,
-    )
+    done = call_on_a_full_disk(len(before) // 2, "repair", path)
     assert done.returncode == 2
     assert done.stderr.startswith(f"semviz: {path}: cannot be written"), done.stderr
     assert done.stderr.count("\n") == 1, done.stderr

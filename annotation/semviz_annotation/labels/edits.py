@@ -121,7 +121,7 @@ class SendBackFrame:
 
 def _reviewed(frame_index: int, labels: Labels) -> rows.Review:
     review = labels.reviews.get(frame_index)
-    if review is None or labels.review(frame_index) not in ("reviewed", "reviewed, empty"):
+    if review is None or labels.review(frame_index) not in rows.REVIEWED:
         raise SemvizError(f"frame {frame_index} is not marked as reviewed")
     return review
 

@@ -99,6 +99,10 @@ class Observation:
     __pydantic_config__: ClassVar[ConfigDict] = STRICT
 
 
+REVIEWED = frozenset({"reviewed", "reviewed, empty"})
+"""States of a frame that a person is done with."""
+
+
 @dataclass(frozen=True)
 class Review:
     """A person's review of a frame as a whole."""

@@ -8,6 +8,7 @@ locally first: real streets have deep shade and glare, rendered ones do not.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -139,23 +140,20 @@ class NetworkSize:
 
         Raise KeyError if they are of another kind of network.
         """
-        widths: list[int] = []
-        while (name := f"stages.{len(widths)}.0.0.weight") in tensors:
-            widths.append(len(tensors[name]))
-        blocks = [
-            sum(
-                f"stages.{stage}.{block}.one.0.weight" in tensors
-                for block in range(1, _MOST_BLOCKS)
-            )
-            for stage in range(len(widths))
-        ]
+
+        def numbers(name: str, first: int) -> range:
+            """Return the numbers, from ``first`` on, with which weights are named so."""
+            return range(first, next(n for n in count(first) if name.format(n) not in tensors))
+
+        stages = numbers("stages.{}.0.0.weight", 0)
+        widths = [len(tensors[f"stages.{stage}.0.0.weight"]) for stage in stages]
+        blocks = [len(numbers(f"stages.{stage}.{{}}.one.0.weight", 1)) for stage in stages]
         pyramid, head = (len(tensors[name]) for name in ("lateral.0.weight", "head.0.weight"))
         return cls(tuple(widths), tuple(blocks), pyramid, head)
 
 
 STANDARD = NetworkSize()
 """The size of new networks."""
-_MOST_BLOCKS = 100
 RARE = -4.6
 """Initial logit of heat, since few cells hold a centre."""
 MEAN, SPREAD = 114.0, 64.0
@@ -169,7 +167,7 @@ class DetectorNet(nn.Module):
     ``Channels`` gives their order.
     """
 
-    def __init__(self, classes: int, size: NetworkSize = NetworkSize()) -> None:
+    def __init__(self, classes: int, size: NetworkSize = STANDARD) -> None:
         super().__init__()
         self.size = size
         widths, pyramid, head = size.widths, size.pyramid, size.head

@@ -10,7 +10,7 @@ import { counted, uuid7 } from "./values.js";
 const LEAST_SCORE = 0.05; // of a proposal that was found in the image
 const REST_MS = 250;
 
-/** An edit that waits for `Ctrl Enter`; `frames`: those it changes; `shift`: new places of labels, by their id.
+/** An edit that waits for `Ctrl Enter`; `frames`: those it changes; `moved`: new places of labels, by their id.
  * @typedef {{text: string, apply: string, edit: Edit, frames: Set<number>, moved?: Map<string, annotator.SnapMove>}} Pending */
 
 export class TrackActions {
@@ -229,8 +229,7 @@ export class TrackActions {
     else this.#withProposals((found) => this.#acceptFound(row, found.filter((mark) => mark.is_confident), found));
   }
 
-  /** Accepts the sure ones of the tracks of detections that the filter leaves, in the range.
-   */
+  /** Accepts the sure ones of the tracks of detections that the filter leaves, in the range. */
   #acceptSureTracks() {
     const { table, shown, range, places, page } = this.tracks;
     const [first, last] = range ?? [0, places - 1];

@@ -3,6 +3,7 @@
 /** @import {Command, Keys} from "/static/keys.js" */
 /** @import {State} from "./state.js" */
 import { byId } from "/static/dom.js";
+import { signature } from "/static/keys.js";
 
 /** @typedef {State["view"]} View */
 /** A part of the page that is a view of its own.
@@ -59,9 +60,8 @@ export class Views {
    * @returns {Command[]}
    */
   ofImages(commands) {
-    const named = (/** @type {Command} */ { key, shift, ctrl }) => `${ctrl ? "ctrl+" : ""}${shift ? "shift+" : ""}${key.toLowerCase()}`;
     return commands.map((command) =>
-      EVERYWHERE.has(command.group) || ALSO.has(named(command)) ? command : { ...command, view: "" });
+      EVERYWHERE.has(command.group) || ALSO.has(signature(command)) ? command : { ...command, view: "" });
   }
 
   /** @returns {Command[]} */

@@ -27,8 +27,11 @@ export function keyBadges({ key, shift, ctrl }) {
  */
 export const keyName = (key) => keyBadges(key).join(" ");
 
-/** @param {Key} key */
-function signature({ key, shift = false, ctrl = false }) {
+/** The name of a key in the code: `shift+x`.
+ *
+ * @param {Key} key
+ */
+export function signature({ key, shift = false, ctrl = false }) {
   return `${ctrl ? "ctrl+" : ""}${shift ? "shift+" : ""}${key.toLowerCase()}`;
 }
 
