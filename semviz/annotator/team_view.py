@@ -79,12 +79,16 @@ class ShowTeamRequest(Request):
     type: Literal["show_team"] = "show_team"
 
 
+AssignedFrame: TypeAlias = Annotated[int, Field(ge=0, lt=10**9)]
+"""As many digits as the text of an assignment may have in the log."""
+
+
 class AssignFramesRequest(Request):
     """Assign a range of frames to a person; without one, take all of them away."""
 
     type: Literal["assign_frames"] = "assign_frames"
     person: str
-    frames: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]] | None
+    frames: tuple[AssignedFrame, AssignedFrame] | None
 
 
 class TeamEvent(Event):

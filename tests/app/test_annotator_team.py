@@ -13,14 +13,17 @@ import pytest
 from annotator_page import Served, annotating
 from echo_tool import connected
 from journeys.driver import EMPTY_PAGE, LabelDriver
+from pydantic import ValidationError
 from streets import street_workspace
 
 from semviz.annotator.server import Annotator
+from semviz.annotator.team_view import AssignFramesRequest
 from semviz.web.gateway import Gateway
 from semviz.workspace.people import FILE, People, digest_of
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import new_id
 from semviz_annotation.storage.integrity import check_labels
+from semviz_annotation.storage.teamwork import AssignedFrames, assignment_text
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
@@ -242,6 +245,19 @@ def test_a_reviewer_sends_back_with_a_comment_and_accepts(
     ]
     tester.keyboard.press("Control+z")
     tester.wait_for_selector("#team-queue .row", timeout=WAIT_MS)
+
+
+def test_every_frame_that_a_page_may_assign_is_read_from_the_log(workspace: Workspace) -> None:
+    """A number with more digits than the log's text holds would end the view for everybody."""
+    last = 10**9 - 1
+    request = {"id": "1", "person": "mara", "frames": (0, last)}
+    frames = AssignFramesRequest.model_validate(request).frames
+    assert frames is not None
+    with workspace.open_labels() as store:
+        store.state("assign", assignment_text("mara", AssignedFrames(*frames)), "tester")
+        assert store.teamwork()[2] == {"mara": [(0, last)]}
+    with pytest.raises(ValidationError):
+        AssignFramesRequest.model_validate(request | {"frames": (0, last + 1)})
 
 
 @pytest.mark.browser

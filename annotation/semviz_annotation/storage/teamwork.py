@@ -5,6 +5,7 @@ import sqlite3
 from collections import defaultdict
 from typing import NamedTuple
 
+from semviz_annotation.storage import tables
 from semviz_annotation.storage.operations import Writer
 from semviz_core.common.errors import SemvizError
 
@@ -36,8 +37,11 @@ def review_writers(connection: sqlite3.Connection) -> dict[int, Writer]:
 
 def tallies(connection: sqlite3.Connection) -> dict[str, Tally]:
     """Return the number of edits of each author, and when the last one was."""
+    statements = tuple(tables.STATEMENTS)
     rows = connection.execute(
-        "SELECT author, count(*), max(time) FROM operations WHERE origin = 'human' GROUP BY author"
+        "SELECT author, count(*), max(time) FROM operations WHERE origin = 'human' "
+        f"AND kind NOT IN ({', '.join('?' * len(statements))}) GROUP BY author",
+        statements,
     )
     return {author: Tally(count, last) for author, count, last in rows}
 
