@@ -30,7 +30,7 @@ def a_crop() -> Crop:
 
 def in_another_place(crop: Crop, seed: int) -> Crop:
     rng = np.random.default_rng(seed)
-    return with_more_elements(in_other_surroundings(crop, rng), rng)
+    return with_more_elements(*in_other_surroundings(crop, rng), rng)
 
 
 @pytest.fixture(scope="module")
@@ -109,12 +109,25 @@ def test_fronts_are_wider_than_poles_and_paint_only_what_is_behind() -> None:
     changed = 0.0
     for seed in range(12):
         image = np.full((HEIGHT, WIDTH, 3), 99.0, np.float32)
-        paint_fronts(image, behind, np.random.default_rng(seed))
+        feet = np.array([[0.25 * WIDTH, 0.7 * HEIGHT]])
+        painted = paint_fronts(image, behind, feet, np.random.default_rng(seed))
         np.testing.assert_array_equal(image[~behind], 99.0)
+        assert not painted[int(0.7 * HEIGHT) :, WIDTH // 4].any(), "a front hides a pole's foot"
         changed += (image[behind] != 99.0).mean() / 12
     assert changed > 0.1
     sides = [wide_and_high(10.0, 300.0, np.random.default_rng(seed)) for seed in range(99)]
     assert min(wide / high for wide, high in sides) > 0.4
+
+
+def test_added_posts_stand_before_fronts_and_not_on_them() -> None:
+    crop = a_crop()
+    for seed in range(12):
+        on_fronts = with_more_elements(
+            crop, np.ones(crop.rows.shape, bool), np.random.default_rng(seed)
+        )
+        elements = on_fronts.elements[2:]
+        bottoms = elements.end_px[elements.is_line]
+        assert (bottoms[:, 1] > HEIGHT - 5.0).all(), "a post stands on a front"
 
 
 @pytest.mark.parametrize(("level", "least"), [(12.0, 6.0), (40.0, 14.0), (200.0, 22.0)])

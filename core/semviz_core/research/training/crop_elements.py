@@ -29,15 +29,21 @@ from semviz_core.simulation.sign_faces import face, worn_face
 
 _LEAST_POST_PX, _MOST_NUMBER = 12.0, 200
 """Shortest post that is added; most elements of a crop, whose rows are bytes."""
+_FOOT_PX = 4.0
+"""A post that ends less above the lower edge of a front stands before it."""
 _LEAST_LAMP_PX = 90.0
 """Least height of a post that may carry a lamp."""
 
 
-def with_more_elements(crop: Crop, rng: np.random.Generator) -> Crop:
-    """Return the crop, which must have masks, with posts and signs behind its own elements."""
+def with_more_elements(crop: Crop, fronts: BoolArray, rng: np.random.Generator) -> Crop:
+    """Return the crop, which must have masks, with posts and signs behind its own elements.
+
+    No post stands on ``fronts`` (height, width): what is upright there is a bar of a window, as far
+    as can be seen.
+    """
     if rng.random() < 0.7:
-        crop = _with_posts(crop, rng)
-    return _with_signs(crop, rng) if rng.random() < 0.6 else crop
+        crop = _with_posts(crop, fronts, rng)
+    return _with_signs(crop, fronts, rng) if rng.random() < 0.6 else crop
 
 
 @dataclass(frozen=True)
@@ -47,12 +53,34 @@ class _Post:
     peak_px: FloatArray
     bottom_px: FloatArray
     width_px: float
+    hidden_px: float
+    """Length of its lower end that grass hides."""
+
+    @classmethod
+    def of(
+        cls, peak_px: FloatArray, bottom_px: FloatArray, width_px: float, rng: np.random.Generator
+    ) -> "_Post":
+        """Return a post, some of whose lower end may be hidden."""
+        length = float(np.linalg.norm(bottom_px - peak_px))
+        hidden = rng.uniform(0.05, 0.4) * length if rng.random() < 0.35 else 0.0
+        return cls(peak_px, bottom_px, max(1.2, width_px), hidden)
+
+    def stands_on(self, mask: BoolArray) -> bool:
+        """Whether what is seen ends inside a mask (height, width), and not just above its end."""
+        span = self.bottom_px - self.peak_px
+        seen = self.bottom_px - span * self.hidden_px / np.linalg.norm(span)
+        u, v = np.round(seen + np.array((0.0, _FOOT_PX))).astype(int).tolist()
+        height, width = mask.shape
+        return 0 <= u < width and 0 <= v < height and bool(mask[v, u])
 
 
-def _with_posts(crop: Crop, rng: np.random.Generator) -> Crop:
+def _with_posts(crop: Crop, fronts: BoolArray, rng: np.random.Generator) -> Crop:
     """Return the crop with stakes, masts, or the posts of a fence, behind its own elements."""
     image, rows = crop.image.astype(np.float32), crop.rows.copy()
     posts = _fence(crop, rng) if rng.random() < 0.5 else _stakes(crop, rng)
+    posts = [post for post in posts if not post.stands_on(fronts)]
+    if not posts:
+        return crop
     if rng.random() < 0.5 and len(posts) > 1:
         _rails(image, rows == 0, posts, rng)
     color = pole_color(_level_at(image, posts[-1]), rng)
@@ -105,7 +133,7 @@ def _stakes(crop: Crop, rng: np.random.Generator) -> list[_Post]:
         long = float(np.exp(rng.uniform(np.log(14.0), np.log(320.0))))
         bottom = np.array([rng.uniform(0, width), rng.uniform(0.35, 1.1) * height])
         thick = rng.uniform(0.012, 0.1) if long > _LEAST_LAMP_PX else rng.uniform(0.02, 0.2)
-        posts.append(_post(bottom, long, thick, rng.normal(0.0, 0.05)))
+        posts.append(_post(bottom, long, thick, rng.normal(0.0, 0.05), rng))
     return posts
 
 
@@ -121,13 +149,15 @@ def _fence(crop: Crop, rng: np.random.Generator) -> list[_Post]:
     for step in range(int(rng.integers(3, 10))):
         share = 1.0 / (1.0 + step * apart)
         bottom = horizon + share * (first - horizon)
-        posts.append(_post(bottom, tall * share, thick, rng.normal(0.0, 0.06)))
+        posts.append(_post(bottom, tall * share, thick, rng.normal(0.0, 0.06), rng))
     return posts[::-1]
 
 
-def _post(bottom: FloatArray, long: float, thickness: float, lean: float) -> _Post:
+def _post(
+    bottom: FloatArray, long: float, thickness: float, lean: float, rng: np.random.Generator
+) -> _Post:
     peak = bottom - long * np.array([np.sin(lean), np.cos(lean)])
-    return _Post(peak, bottom, max(1.2, thickness * long))
+    return _Post.of(peak, bottom, thickness * long, rng)
 
 
 def _rails(image: Floats, behind: BoolArray, posts: list[_Post], rng: np.random.Generator) -> None:
@@ -148,13 +178,9 @@ def _paint_post(
     color: FloatArray,
     rng: np.random.Generator,
 ) -> Elements2D | None:
-    """Paint a post where no element is, and number its pixels; None if too little is seen.
-
-    Grass may hide its bottom.
-    """
-    span = post.bottom_px - post.peak_px
+    """Paint a post where no element is, and number its pixels; None if too little is seen."""
+    span, hidden = post.bottom_px - post.peak_px, post.hidden_px
     length, half = float(np.linalg.norm(span)), post.width_px / 2.0
-    hidden = rng.uniform(0.05, 0.4) * length if rng.random() < 0.35 else 0.0
     part, low = window(
         np.minimum(post.peak_px, post.bottom_px) - half,
         np.maximum(post.peak_px, post.bottom_px) + half,
@@ -235,7 +261,7 @@ class _Plate:
         return float(np.ptp(self.corners_px[:, 1]))
 
 
-def _with_signs(crop: Crop, rng: np.random.Generator) -> Crop:
+def _with_signs(crop: Crop, fronts: BoolArray, rng: np.random.Generator) -> Crop:
     """Return the crop with signs behind its own elements, most of them on posts of their own."""
     image, rows = crop.image.astype(np.float32), crop.rows.copy()
     elements = crop.elements
@@ -244,8 +270,8 @@ def _with_signs(crop: Crop, rng: np.random.Generator) -> Crop:
             break
         plate = _plate(crop.rows.shape, rng)
         free = rows == 0
-        if rng.random() < 0.75:
-            post, number = _post_of(plate, rng), len(elements) + 1
+        post, number = _post_of(plate, rng), len(elements) + 1
+        if rng.random() < 0.75 and not post.stands_on(fronts):
             shown = _paint_post(image, rows, post, number, any_color(rng) * 0.8, rng)
             if shown is not None:
                 elements = joined(elements, shown)
@@ -294,7 +320,7 @@ def _post_of(plate: _Plate, rng: np.random.Generator) -> _Post:
         [rng.normal(0.0, 0.02), 1.0]
     )  # fmt: skip
     peak = plate.middle_px - span * above / span[1]
-    return _Post(peak, peak + span, max(1.2, height * rng.uniform(0.07, 0.18)))
+    return _Post.of(peak, peak + span, height * rng.uniform(0.07, 0.18), rng)
 
 
 def _paint_plate(

@@ -12,17 +12,33 @@ from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray
 from semviz_core.research.training.crop_light import Floats, fractal
 from semviz_core.research.training.crop_paint import any_color, lay_over, wide_and_high, window
 
-_LEAST_PX, _MOST_PX = 30.0, 330.0
+_LEAST_PX, _MOST_PX = (30.0, 130.0), 450.0
+"""Limits of a front's sides, the least being one of two: far fronts, and near ones."""
+_SLANTS = 0.1, 0.25
+"""Sigmas of the rise of a front's upper and lower edge, over its height."""
+_BEFORE_PX = 3.0
+"""Least distance of a pole's foot from the front behind it."""
 _LETTERS = "ABCDEFGHIKLMNOPRSTUVWXZ0123456789"
 
 
-def paint_fronts(image: Floats, behind: BoolArray, rng: np.random.Generator) -> None:
-    """Paint some fronts where ``behind``, each seen from the front or along a street."""
+def paint_fronts(
+    image: Floats, behind: BoolArray, feet_px: FloatArray, rng: np.random.Generator
+) -> BoolArray:
+    """Paint some fronts where ``behind``, each seen from the front or along a street.
+
+    A front ends above the ``feet_px`` (k, 2) of poles in its columns: they stand before it. Returns
+    (height, width) where a front is painted.
+    """
     height, width = behind.shape
-    for _ in range(rng.integers(1, 4)):
-        wide, high = wide_and_high(_LEAST_PX, _MOST_PX, rng)
+    painted = np.zeros(behind.shape, bool)
+    for _ in range(rng.integers(1, 5)):
+        wide, high = wide_and_high(rng.choice(_LEAST_PX), _MOST_PX, rng)
         left, top = rng.uniform(-0.3, 0.9) * width, rng.uniform(-0.2, 0.7) * height
-        slant = rng.normal(0.0, 0.12 * high, 2)
+        slant = np.clip(rng.normal(0.0, rng.choice(_SLANTS), 2), -0.4, 0.4) * high
+        lowest = high + abs(slant[1])
+        before = feet_px[(feet_px[:, 0] > left) & (feet_px[:, 0] < left + wide), 1]
+        if len(before):
+            top += min(0.0, float(before.min()) - _BEFORE_PX - top - lowest)
         corners = np.array(
             [(0, slant[0]), (wide, -slant[0]), (wide, high + slant[1]), (0, high - slant[1])]
         )
@@ -40,12 +56,14 @@ def paint_fronts(image: Floats, behind: BoolArray, rng: np.random.Generator) -> 
         cover = cv2.warpPerspective(np.ones((high, wide), np.float32), to_crop, size)
         colors = cv2.warpPerspective(front, to_crop, size, borderMode=cv2.BORDER_REPLICATE)
         lay_over(image[part], (cover * shown).astype(np.float32), colors.astype(np.float32))
+        painted[part] |= cover > 0.5
+    return painted
 
 
 def _front(wide: int, high: int, rng: np.random.Generator) -> ByteImage:
     """Return a picture (high, wide, 3) of a front of a random kind."""
     picture: ByteImage = np.full((high, wide, 3), any_color(rng), np.uint8)
-    (_windows, _windows, _boards, _panels)[rng.integers(4)](picture, rng)
+    (_windows, _windows, _glass, _boards, _panels)[rng.integers(5)](picture, rng)
     if rng.random() < 0.4:
         letter(picture, rng)
     if rng.random() < 0.5:
@@ -80,6 +98,25 @@ def _windows(picture: ByteImage, rng: np.random.Generator) -> None:
             cv2.rectangle(picture, first, last, _color(frame), thick)
             if rng.random() < 0.5:
                 cv2.line(picture, (first[0], last[1]), last, _color(sill), thick + 1)
+    if rng.random() < 0.3:  # a downpipe
+        x = int(rng.integers(wide))
+        cv2.line(picture, (x, 0), (x, high), _color(any_color(rng)), int(rng.integers(1, 6)))
+
+
+def _glass(picture: ByteImage, rng: np.random.Generator) -> None:
+    """Paint a wall of glass, or a balcony's railing: panes of many shades between thin bars."""
+    high, wide = picture.shape[:2]
+    columns, rows = int(rng.integers(3, 25)), int(rng.integers(1, 13))
+    shades = np.clip(1.0 + rng.uniform(0.0, 0.5) * rng.standard_normal((rows, columns)), 0.1, 2.0)
+    panes = any_color(rng) * shades[..., None]
+    size = (wide, high)
+    picture[:] = cv2.resize(np.clip(panes, 0, 255), size, interpolation=cv2.INTER_NEAREST)
+    thick, bar = int(rng.integers(1, 5)), _color(any_color(rng))
+    for x in np.linspace(0, wide, columns + 1).round().astype(int).tolist():
+        cv2.line(picture, (x, 0), (x, high), bar, thick)
+    if rng.random() < 0.7:
+        for y in np.linspace(0, high, rows + 1).round().astype(int).tolist():
+            cv2.line(picture, (0, y), (wide, y), bar, int(rng.integers(1, 5)))
 
 
 def _boards(picture: ByteImage, rng: np.random.Generator) -> None:

@@ -4,6 +4,7 @@ Bushes, woods, walls, boards and trunks are painted behind the elements; poles g
 dark side and other colours. Real images have all of this, rendered streets have little of it.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import cv2
@@ -24,17 +25,31 @@ from semviz_core.research.training.crop_paint import (
 )
 from semviz_core.research.training.detector_images import Crop
 
+Painter = Callable[[Floats, BoolArray, np.random.Generator], None]
+"""Paints into an image (height, width, 3) where a mask says that no element is."""
 
-def in_other_surroundings(crop: Crop, rng: np.random.Generator) -> Crop:
+
+def in_other_surroundings(crop: Crop, rng: np.random.Generator) -> tuple[Crop, BoolArray]:
     """Return the crop, which must have masks, with other things behind and other light on its
-    elements."""
+    elements, and (height, width) where it shows fronts of houses: no pole stands on them."""
     image = crop.image.astype(np.float32)
     behind = crop.rows == 0
-    for paint, share in _SHARES.items():
+    _paint_some(_FAR, image, behind, rng)
+    fronts = np.zeros(behind.shape, bool)
+    if rng.random() < _FRONTS_SHARE:
+        feet_px = crop.elements.end_px[crop.elements.is_line]
+        fronts = paint_fronts(image, behind, feet_px, rng)
+    _paint_some(_NEAR, image, behind, rng)
+    _relight(image, crop, rng)
+    return replace(crop, image=as_bytes(image)), fronts
+
+
+def _paint_some(
+    shares: dict[Painter, float], image: Floats, behind: BoolArray, rng: np.random.Generator
+) -> None:
+    for paint, share in shares.items():
         if rng.random() < share:
             paint(image, behind, rng)
-    _relight(image, crop, rng)
-    return replace(crop, image=as_bytes(image))
 
 
 def _leaf_color(rng: np.random.Generator) -> FloatArray:
@@ -181,5 +196,7 @@ def _relight(image: Floats, crop: Crop, rng: np.random.Generator) -> None:
         image[v, u] = own * light[:, None]
 
 
-_SHARES = {_woods: 0.4, _walls: 0.3, paint_fronts: 0.4, _boards: 0.45, _trunks: 0.5}
-"""Shares of crops in which each is painted, in this order."""
+_FAR: dict[Painter, float] = {_woods: 0.4, _walls: 0.3}
+_NEAR: dict[Painter, float] = {_boards: 0.45, _trunks: 0.5}
+"""Shares of crops in which each is painted, in this order: behind fronts and before them."""
+_FRONTS_SHARE = 0.5

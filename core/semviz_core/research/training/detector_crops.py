@@ -55,7 +55,8 @@ def view_elsewhere(labelled: LabelledImage, rng: np.random.Generator) -> Labelle
 
 def _elsewhere(crop: Crop, rng: np.random.Generator, surroundings: float) -> Crop:
     if crop.has_masks and rng.random() < surroundings:
-        crop = with_more_elements(in_other_surroundings(crop, rng), rng)
+        crop, fronts = in_other_surroundings(crop, rng)
+        crop = with_more_elements(crop, fronts, rng)
     image = with_shade(crop.image, rng) if rng.random() < SHADED else crop.image
     return replace(crop, image=as_taken(image, rng))
 
