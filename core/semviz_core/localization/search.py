@@ -34,7 +34,10 @@ from semviz_core.localization.residuals import EXACT_POSE
 from semviz_core.localization.upright import UprightView, likely_ups, upright_view
 
 BASIN_M, BASIN_RAD = 2.5, float(np.deg2rad(8.0))
-"""Candidates closer than both converge to the same pose."""
+"""A candidate closer than both usually converges to the pose."""
+TRIED_APART_M, TRIED_APART_RAD = 0.5 * BASIN_M, 0.5 * BASIN_RAD
+"""Of candidates closer than both only the best is fitted. Within a basin it may be one that ends a
+post off in a row of posts: then its neighbour finds the pose."""
 APART_M, APART_RAD = 1.0, float(np.deg2rad(2.0))
 """Poses further apart than either are different modes."""
 REFINED_COVARIANCE: FloatArray = np.diag([0.3**2] * 3 + [np.deg2rad(0.7) ** 2] * 3)
@@ -209,9 +212,9 @@ def _distinct_best(poses: FloatArray, rating: FloatArray, effort: Effort) -> Int
         new = True
         for k in range(count):
             dx, dy = poses[row, 0] - poses[kept[k], 0], poses[row, 1] - poses[kept[k], 1]
-            if dx * dx + dy * dy < BASIN_M * BASIN_M:
+            if dx * dx + dy * dy < TRIED_APART_M * TRIED_APART_M:
                 turn = poses[row, 3] * poses[kept[k], 3] + poses[row, 4] * poses[kept[k], 4]
-                if turn > np.cos(BASIN_RAD):
+                if turn > np.cos(TRIED_APART_RAD):
                     new = False
                     break
         if new:
