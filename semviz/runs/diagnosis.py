@@ -198,16 +198,22 @@ def noticed_faults(run: Run, record: FrameRecord) -> str:
     diagnosis = KNOWN_DIAGNOSES.get(record)
     if diagnosis is None or diagnosis.kind != "healthy":
         return ""
-    return ", ".join(_noticed(run.semantic_map, fault) for fault in diagnosis.secondary_faults)
+    of_kind: dict[str, dict[str, str]] = {}
+    for fault in diagnosis.secondary_faults:
+        subject, off = _noticed(run.semantic_map, fault)
+        of_kind.setdefault(fault.kind, {}).setdefault(subject, f"{subject} {off}".strip())
+    return "; ".join(
+        f"{', '.join(subjects.values())} {kind}".strip() for kind, subjects in of_kind.items()
+    )
 
 
-def _noticed(semantic_map: SemanticMap, fault: Fault) -> str:
-    """Return a fault with its element or detection, and by how much it is off."""
+def _noticed(semantic_map: SemanticMap, fault: Fault) -> tuple[str, str]:
+    """Return a fault's element or detection, and by how much it is off, if that is in pixels."""
     mapped = set(semantic_map.elements.id.tolist())
     named = [semantic_map.name_of(element) for element in fault.elements if element in mapped]
     subject = " and ".join(named or [f"#{row}" for row in fault.rows])
-    off = next((f", {item.value:.0f} px" for item in fault.evidence if item.unit == "px"), "")
-    return f"{subject} {fault.kind}{off}".strip()
+    off = next((f"({item.value:.0f} px)" for item in fault.evidence if item.unit == "px"), "")
+    return subject, off
 
 
 def _detection_rows(run: Run, detection: DetectionErrors) -> list[tuple[str, str]]:
