@@ -3,6 +3,7 @@
 Where either is missing a test skips with the reason; with SEMVIZ_REQUIRE_ALL=1 (CI) it fails.
 """
 
+import gc
 import importlib
 import os
 import shutil
@@ -18,6 +19,7 @@ import platformdirs
 import psutil
 import pytest
 from fonts import font_settings
+from measured_once import images_measured_once
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Page
@@ -61,6 +63,12 @@ WORKER_BYTES = 2.5e9
 """Memory of a worker with its browser and what the networks' libraries load."""
 
 
+def pytest_collection_finish() -> None:
+    """What is imported by now stays; the garbage collector need not look through it again."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads its option
 def pytest_cmdline_main(config: pytest.Config) -> None:
     """Let plain ``pytest`` use all cores, with a worker each; who names tests gets none.
@@ -84,6 +92,12 @@ def skip_or_fail(reason: str) -> NoReturn:
     if os.environ.get("SEMVIZ_REQUIRE_ALL") == "1":
         pytest.fail(reason, pytrace=False)
     pytest.skip(reason)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _images_measured_once() -> Iterator[None]:
+    with images_measured_once():
+        yield
 
 
 @pytest.fixture(scope="session")

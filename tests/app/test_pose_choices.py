@@ -1,6 +1,7 @@
 """What people choose for wrong poses: stored beside the drive, used by everything after it."""
 
 import json
+import shutil
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,6 +13,7 @@ from command_line import Call, call
 from streets import street
 from turned_drive import COUNT, SEED, TURNED, drive, labels, store_labels, wrong_poses
 
+from semviz.cli import main
 from semviz.workspace.localize import posed_frames, select_frames
 from semviz.workspace.pose_choices import PoseOperation, read_choices
 from semviz.workspace.pose_review import PoseReview, check_poses, choose_poses, pose_change
@@ -29,13 +31,24 @@ def run(capsys: pytest.CaptureFixture[str]) -> Call:
     return partial(call, capsys)
 
 
-@pytest.fixture
-def town(run: Call, drive: Path, wrong_poses: Path, labels: Labels, tmp_path: Path) -> Path:
-    """A workspace whose frames 5 to 7 are turned, with labels."""
-    folder = tmp_path / "town"
-    assert run("new", folder, "--kitti", drive, "--poses", wrong_poses, "--check-poses")[0] == 0
+@pytest.fixture(scope="module")
+def measured_town(
+    drive: Path, wrong_poses: Path, labels: Labels, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """A workspace whose frames 5 to 7 are turned, with labels, and the motions of its images."""
+    folder = tmp_path_factory.mktemp("measured") / "town"
+    words = ("new", folder, "--kitti", drive, "--poses", wrong_poses, "--check-poses")
+    with pytest.raises(SystemExit) as ended:
+        main([str(word) for word in words])
+    assert not ended.value.code
     store_labels(Workspace.open(folder), labels)
     return folder
+
+
+@pytest.fixture
+def town(measured_town: Path, tmp_path: Path) -> Path:
+    """Its copy."""
+    return Path(shutil.copytree(measured_town, tmp_path / "town"))
 
 
 def worst_deg(frames: tuple[Frame, ...]) -> float:
