@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from command_line import Call, call
 from streets import street
-from turned_drive import COUNT, SEED, TURNED, drive, labels, store_labels, wrong_poses
+from turned_drive import COUNT, SEED, TURNED, drive, labels, measured_town, wrong_poses
 
-from semviz.cli import main
 from semviz.workspace.localize import posed_frames, select_frames
 from semviz.workspace.pose_choices import PoseOperation, read_choices
 from semviz.workspace.pose_review import PoseReview, check_poses, choose_poses, pose_change
@@ -23,7 +22,7 @@ from semviz_annotation.mapping.build import build_map
 from semviz_core.base.frame import Frame
 from semviz_core.common.errors import SemvizError
 
-__all__ = ["drive", "labels", "wrong_poses"]
+__all__ = ["drive", "labels", "measured_town", "wrong_poses"]
 
 
 @pytest.fixture
@@ -31,23 +30,9 @@ def run(capsys: pytest.CaptureFixture[str]) -> Call:
     return partial(call, capsys)
 
 
-@pytest.fixture(scope="module")
-def measured_town(
-    drive: Path, wrong_poses: Path, labels: Labels, tmp_path_factory: pytest.TempPathFactory
-) -> Path:
-    """A workspace whose frames 5 to 7 are turned, with labels, and the motions of its images."""
-    folder = tmp_path_factory.mktemp("measured") / "town"
-    words = ("new", folder, "--kitti", drive, "--poses", wrong_poses, "--check-poses")
-    with pytest.raises(SystemExit) as ended:
-        main([str(word) for word in words])
-    assert not ended.value.code
-    store_labels(Workspace.open(folder), labels)
-    return folder
-
-
 @pytest.fixture
 def town(measured_town: Path, tmp_path: Path) -> Path:
-    """Its copy."""
+    """A copy."""
     return Path(shutil.copytree(measured_town, tmp_path / "town"))
 
 
