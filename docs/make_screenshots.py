@@ -328,7 +328,6 @@ def take_tracks(page: Page) -> None:
         for key in ("Shift+ArrowRight", "Shift+ArrowRight", "Delete"):
             page.keyboard.press(key)
         page.wait_for_selector("#track-bar", timeout=LOADED_MS)
-        page.wait_for_load_state("networkidle", timeout=LOADED_MS)  # pictures of its views
         settle(page)
         page.screenshot(path=IMAGES / "annotate-tracks.png")
 

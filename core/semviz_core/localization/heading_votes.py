@@ -138,8 +138,7 @@ def vote_headings(
     wanted = _wanted(effort, int(blocks.sum()))
     room = 4 * wanted + BINS
     pool = _Pool(np.zeros((room, 6)), np.full(room, -np.inf))
-    count, evaluated = np.int64(0), 0  # with a literal, what takes it is compiled once more
-    least, middle = 0.0, len(blocks) // 2
+    count, evaluated, least, middle = 0, 0, 0.0, len(blocks) // 2
     for block in np.argwhere(blocks):
         x = prior.value.position_m[0] + (block[0] - middle) * block_m
         y = prior.value.position_m[1] + (block[1] - middle) * block_m

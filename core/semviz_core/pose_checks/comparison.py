@@ -210,7 +210,8 @@ class _ImagesAlone:
     def of(cls, motions: ImageMotions) -> "_ImagesAlone":
         H, linear = motions.information, motions.linear
         A, b = _without_motion(H, linear[:, MOTION], linear[:, RIG], np.zeros((6, 6)))
-        return cls(A, b, np.linalg.pinv(H[:, MOTION, MOTION], rcond=1e-10, hermitian=True))
+        covariance = np.linalg.pinv(H[:, MOTION, MOTION], rcond=1e-10, hermitian=True)
+        return cls(A, b, np.asarray(covariance, dtype=np.float64))
 
     def right_u_px(self, rows: IntArray, weight: FloatArray) -> float:
         """Return the shift of the right image along u by some pairs."""
