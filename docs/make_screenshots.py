@@ -328,6 +328,13 @@ def take_tracks(page: Page) -> None:
         for key in ("Shift+ArrowRight", "Shift+ArrowRight", "Delete"):
             page.keyboard.press(key)
         page.wait_for_selector("#track-bar", timeout=LOADED_MS)
+        page.wait_for_function(
+            """() => [...document.querySelectorAll("button.view canvas")].every((canvas) => {
+                const { width, height } = canvas;
+                return canvas.getContext("2d").getImageData(width / 2, height / 2, 1, 1).data[3];
+            })""",
+            timeout=LOADED_MS,
+        )
         settle(page)
         page.screenshot(path=IMAGES / "annotate-tracks.png")
 
