@@ -57,6 +57,14 @@ MOVED_ELEMENT = 29
 COMPARED_FRAMES = range(100, 112)
 """The pole that most of them detect is moved in the other map."""
 LABELLED_FRAMES = range(3)
+BY_COMMANDS = {
+    "benchmark-bound.png": "semviz benchmark",
+    "benchmark-cumulative.png": "semviz benchmark",
+    "paper-20m-histogram.png": "semviz benchmark --suite paper-20m",
+    "detector-calibration.png": "bench/subpixel.py --planted --plot",
+    "localizability-check.png": "bench/localizability.py --plot",
+}
+"""Plots of long measurements, by the command that the page beside them names."""
 RERUN_PORT = 19_876
 TITLE_PX = 36
 SETTLED_MS = 15_000
@@ -277,7 +285,8 @@ def take_rerun() -> None:
 
 
 def draw_route() -> None:
-    MapLocalizabilityCommand(ensure_demo(), map=MAP, plot=IMAGES / "localizability-route.png").run()
+    picture = IMAGES / "localizability-route.png"
+    MapLocalizabilityCommand(ensure_demo(), map=MAP, plot=picture, force=True).run()
 
 
 def take_annotator(page: Page) -> None:
@@ -297,6 +306,37 @@ def take_review(page: Page) -> None:
         page.click('#jumps .row:has-text("Map decisions")')
         settle(page)
         page.screenshot(path=IMAGES / "annotate-review.png")
+
+
+def take_tracks(page: Page) -> None:
+    """The view Tracks: labels of a pole about to be deleted."""
+    with tempfile.TemporaryDirectory() as folder, annotating(page, folder, tracked_labels):
+        page.wait_for_selector("#saved.saved", timeout=LOADED_MS)
+        page.keyboard.press("F3")
+        page.wait_for_function(
+            "frames => semviz.tracks.table.total > 0 && !semviz.tracks.table.waiting"
+            " && semviz.tracks.table.numbersAt.size === frames",
+            arg=len(FRAMES),
+            timeout=LOADED_MS,
+        )
+        page.evaluate("""() => {
+            const { tracks } = semviz;
+            const longest = tracks.shown.find((row) => row.name.startsWith("P-"));
+            tracks.choose(longest, tracks.placeOf(3));
+        }""")
+        page.wait_for_function("() => semviz.tracks.details", timeout=LOADED_MS)
+        for key in ("Shift+ArrowRight", "Shift+ArrowRight", "Delete"):
+            page.keyboard.press(key)
+        page.wait_for_selector("#track-bar", timeout=LOADED_MS)
+        page.wait_for_function(
+            """() => [...document.querySelectorAll("button.view canvas")].every((canvas) => {
+                const { width, height } = canvas;
+                return canvas.getContext("2d").getImageData(width / 2, height / 2, 1, 1).data[3];
+            })""",
+            timeout=LOADED_MS,
+        )
+        settle(page)
+        page.screenshot(path=IMAGES / "annotate-tracks.png")
 
 
 def first_labels(street: Street) -> Iterator[Edit]:
@@ -319,11 +359,17 @@ def forgetful_labels(street: Street) -> Iterator[Edit]:
     yield ImportLabels(tuple(made.elements.values()), tuple(made.observations.values()))
 
 
+def tracked_labels(street: Street) -> Iterator[Edit]:
+    """Labels of whole elements in the first frames: the rest is proposed."""
+    made = label_street(careful(street, 0.5, 1), FRAMES[:-2], memory=len(FRAMES)).labels
+    yield ImportLabels(tuple(made.elements.values()), tuple(made.observations.values()))
+
+
 WITHOUT_BROWSER = (draw_route, take_rerun)
 IN_BROWSER = (
     take_inspector, take_story, take_image, take_space, take_selected, take_solver, take_compare,
     take_forecast, take_what_if, take_label, take_report, take_detector_report, take_annotator,
-    take_review,
+    take_review, take_tracks,
 )  # fmt: skip
 
 

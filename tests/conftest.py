@@ -3,6 +3,7 @@
 Where either is missing a test skips with the reason; with SEMVIZ_REQUIRE_ALL=1 (CI) it fails.
 """
 
+import gc
 import importlib
 import os
 import shutil
@@ -18,6 +19,8 @@ import platformdirs
 import psutil
 import pytest
 from fonts import font_settings
+from measured_once import images_measured_once
+from streets import streets_painted_once
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Page
@@ -51,27 +54,37 @@ CHROMIUM_ARGS = [
 
 
 SLOWEST = (
-    "test_docs", "test_own_drive", "test_packaging", "test_demo_journey", "test_detect_train",
-    "test_train", "test_inspector_what_if", "test_own_drive_checks", "test_diagnosis",
-    "test_inspector", "test_detect", "test_benchmark", "test_subpixel", "test_annotator_page",
-    "test_kitti_journey", "test_rig_journey", "test_label_journey", "test_cli",
+    "test_docs",  # compiles the solver; those beside it need none
+    "test_own_drive_checks", "test_detect_train", "test_own_drive_real", "test_own_drive_bags",
+    "test_packaging", "test_own_drive", "test_annotator_page", "test_annotator_proposals",
+    "test_inspector", "test_annotator_tracks_view", "test_kitti_journey", "test_rig_journey",
+    "test_annotator_keys", "test_annotator_poses", "test_annotator_team", "test_pose_checks",
+    "test_outputs", "test_pose_choices", "test_label_file_lost", "test_annotator_history",
+    "test_backdrop_pages", "test_annotator_questions", "test_train", "test_page_limits",
 )  # fmt: skip
 """Files of tests that take longest, which no worker must begin when the others are done."""
 WORKER_BYTES = 2.5e9
 """Memory of a worker with its browser and what the networks' libraries load."""
 
 
+def pytest_collection_finish() -> None:
+    """What is imported by now stays; the garbage collector need not look through it again."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads its option
 def pytest_cmdline_main(config: pytest.Config) -> None:
-    """Let plain ``pytest`` use all cores, with a worker each; who names tests gets none.
+    """Let plain ``pytest`` use all cores; who names tests gets no workers.
 
-    A worker runs this hook as well, with no number of processes, and must start none.
+    There is one more than cores: tests of pages wait a third of their time. A worker runs this hook
+    as well, with no number of processes, and must start none.
     """
     whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS and not IS_WORKER
     asked = getattr(config.option, "numprocesses", 0) is not None or config.option.usepdb
     if whole and not asked:
         room = int(psutil.virtual_memory().available / WORKER_BYTES)
-        config.option.numprocesses = min(psutil.cpu_count() or 1, max(room, 1))
+        config.option.numprocesses = min((psutil.cpu_count() or 1) + 1, max(room, 1))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -84,6 +97,12 @@ def skip_or_fail(reason: str) -> NoReturn:
     if os.environ.get("SEMVIZ_REQUIRE_ALL") == "1":
         pytest.fail(reason, pytrace=False)
     pytest.skip(reason)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _made_once() -> Iterator[None]:
+    with streets_painted_once(), images_measured_once():
+        yield
 
 
 @pytest.fixture(scope="session")

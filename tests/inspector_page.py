@@ -64,9 +64,9 @@ def open_page(page: "Page", url: str, query: str = "") -> None:
     applied with the first frame, and until then it would undo what a test clicks.
     """
     page.goto(at(url, f"?{query}"))
-    number = page.locator("#frame-number")  # waiting in the page needs eval, which it forbids
-    wait_for(page, lambda: bool(number.text_content()), "the first frame")
-    page.wait_for_timeout(500)
+    status = page.locator("#status")  # waiting in the page needs eval, which it forbids
+    wait_for(page, lambda: bool(status.text_content()), "the first frame")
+    settle(page)
 
 
 def open_flat(page: "Page", url: str, query: str = "") -> None:

@@ -130,6 +130,16 @@ def test_relative_links_resolve(page: Path) -> None:
         assert not anchor or anchor in anchors_of(target), f"{link}: no such heading"
 
 
+def test_every_picture_is_shown_and_has_a_maker() -> None:
+    """docs/make_screenshots.py names the pictures that it takes, and who plots the others."""
+    makers = (REPOSITORY / "docs" / "make_screenshots.py").read_text()
+    shown = "".join(page.read_text() for page in PAGES)
+    pictures = sorted(path.name for path in (REPOSITORY / "docs" / "images").iterdir())
+    assert len(pictures) > 10
+    assert [name for name in pictures if f'"{name}"' not in makers] == []
+    assert [name for name in pictures if f"images/{name})" not in shown] == []
+
+
 def python_of(page: Path) -> str:
     return "\n".join(re.findall(r"^```python\n(.*?)^```", page.read_text(), re.M | re.S))
 

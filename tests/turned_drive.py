@@ -9,6 +9,7 @@ from streets import street
 from support.planted_pose_faults import moved
 from support.street_labels import careful, label_street
 
+from semviz.cli import main
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.label_formats.exchange import ImportLabels
 from semviz_annotation.labels.labels import Labels
@@ -84,3 +85,17 @@ def store_labels(workspace: Workspace, labels: Labels) -> None:
     with workspace.open_labels() as store:
         rows = tuple(labels.elements.values()), tuple(labels.observations.values())
         store.apply(ImportLabels(*rows), "ann")
+
+
+@pytest.fixture(scope="session")
+def measured_town(
+    drive: Path, wrong_poses: Path, labels: Labels, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """A workspace whose frames 5 to 7 are turned, with labels, and the motions of its images."""
+    folder = tmp_path_factory.mktemp("measured") / "town"
+    words = ("new", folder, "--kitti", drive, "--poses", wrong_poses, "--check-poses")
+    with pytest.raises(SystemExit) as ended:
+        main([str(word) for word in words])
+    assert not ended.value.code
+    store_labels(Workspace.open(folder), labels)
+    return folder

@@ -14,7 +14,7 @@ from semviz_annotation.storage.store import LabelStore
 from semviz_core.common.errors import SemvizError
 
 OPERATIONS = 16
-STEP, BITS = 7, (1, 7)
+STEP, BITS = 17, (1, 7)
 CHUNKS = 8
 """The sweep is cut into parts, so that tests in parallel share it."""
 
@@ -34,7 +34,7 @@ def make(path: Path, with_digest: bool) -> tuple[Labels, tuple[Operation, ...]]:
 
 
 def sites(content: bytes) -> list[int]:
-    """Every 7th byte that is not in a long run of zeros: those are unused."""
+    """Every 17th byte that is not in a long run of zeros: those are unused."""
     return [
         at for at in range(0, len(content), STEP) if any(content[at - 8 if at > 8 else 0 : at + 8])
     ]

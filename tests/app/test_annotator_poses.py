@@ -1,5 +1,6 @@
 """The view "Poses" of the labelling page: what is wrong, three answers, preview, undo."""
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,17 +9,16 @@ import numpy as np
 import pytest
 from annotator_page import Served, annotating
 from journeys.driver import LabelDriver
-from turned_drive import TURNED, drive, labels, store_labels, wrong_poses
+from turned_drive import TURNED, drive, labels, measured_town, wrong_poses
 
-from semviz.workspace.pose_review import check_poses
+from semviz.workspace.pose_review import check_poses, motions_path
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.labels.labels import Labels
 from semviz_core.base.frame import Frame
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-__all__ = ["drive", "labels", "wrong_poses"]
+__all__ = ["drive", "labels", "measured_town", "wrong_poses"]
 pytestmark = pytest.mark.browser
 FAULT = "Poses 5–7 are turned"
 WAIT_MS = 180_000
@@ -26,10 +26,15 @@ WAIT_MS = 180_000
 
 
 @pytest.fixture
-def workspace(drive: Path, wrong_poses: Path, labels: Labels, tmp_path: Path) -> Workspace:
-    made = Workspace.create_kitti(tmp_path / "town", drive, "02", poses=wrong_poses)
-    store_labels(made, labels)
-    return made
+def workspace(measured_town: Path, tmp_path: Path) -> Workspace:
+    """The motions of its images are measured."""
+    return Workspace.open(shutil.copytree(measured_town, tmp_path / "town"))
+
+
+@pytest.fixture  # asked for before the page
+def unmeasured(workspace: Workspace) -> Workspace:
+    motions_path(workspace).unlink()
+    return workspace
 
 
 @pytest.fixture
@@ -63,10 +68,10 @@ def wait_for_title(page: "Page", title: str) -> None:
 
 
 def test_a_turned_stretch_is_measured_refined_and_undone(
-    poses: LabelDriver, served: Served, workspace: Workspace
+    unmeasured: Workspace, poses: LabelDriver, served: Served
 ) -> None:
     page = poses.page
-    given = turned_deg(workspace.given_source.frames)
+    given = turned_deg(unmeasured.given_source.frames)
     assert page.locator("#tab-mark").is_hidden()
     page.keyboard.press("F4")
     assert "view=poses" in page.url
@@ -77,7 +82,7 @@ def test_a_turned_stretch_is_measured_refined_and_undone(
     assert "That is the pose, not the labels: the camera is turned by up to 0.7" in sentence
     page.keyboard.press("Shift+F")
     page.wait_for_selector("#pose-bar:has-text('Nothing is changed.')")
-    assert not workspace.pose_choices_path.exists()
+    assert not unmeasured.pose_choices_path.exists()
     page.keyboard.press("Escape")
     page.wait_for_selector("#pose-bar", state="hidden")
     assert "view=poses" in page.url

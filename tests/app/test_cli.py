@@ -297,7 +297,7 @@ def commands(kind: Any = cli.Command, name: str = "") -> Iterator[tuple[str, Any
         yield name, kind
 
 
-@pytest.mark.parametrize(("name", "kind"), commands(), ids=[name for name, _ in commands()])
+@pytest.mark.parametrize(("name", "kind"), list(commands()), ids=[name for name, _ in commands()])
 def test_help_has_an_example_and_scripts_have_json(name: str, kind: Any) -> None:
     example = re.search(r"Examples?: '(semviz [^']*)'", " ".join(kind.__doc__.split()))
     assert example is not None

@@ -194,13 +194,13 @@ def test_a_real_log_of_argoverse_2(
     stamps = feather.read_table(log / "city_SE3_egovehicle.feather")["timestamp_ns"].to_pylist()
     folder = log / "sensors" / "cameras" / "ring_front_center"
     folder.mkdir(parents=True)
-    for stamp in stamps[100:2000:200]:
+    for stamp in stamps[100:2000:500]:
         cv2.imwrite(str(folder / f"{stamp}.jpg"), np.full((2048, 1550, 3), 90, np.uint8))
     code, out, err = call(capsys, "new", tmp_path / "town", "--images", log)
     assert code == 0, err
     assert "brown-conrady (-0.241, -0.212, 0, 0, 0.326)" in out
     assert re.search(r"up is z \(cameras tilted [0-3] deg\)", out)
-    assert "10 of 10 images have a pose (by time)" in out
+    assert "4 of 4 images have a pose (by time)" in out
     assert "moves" not in err  # it looks where it goes
 
 

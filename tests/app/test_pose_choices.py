@@ -1,6 +1,7 @@
 """What people choose for wrong poses: stored beside the drive, used by everything after it."""
 
 import json
+import shutil
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from command_line import Call, call
 from streets import street
-from turned_drive import COUNT, SEED, TURNED, drive, labels, store_labels, wrong_poses
+from turned_drive import COUNT, SEED, TURNED, drive, labels, measured_town, wrong_poses
 
 from semviz.workspace.localize import posed_frames, select_frames
 from semviz.workspace.pose_choices import PoseOperation, read_choices
@@ -21,7 +22,7 @@ from semviz_annotation.mapping.build import build_map
 from semviz_core.base.frame import Frame
 from semviz_core.common.errors import SemvizError
 
-__all__ = ["drive", "labels", "wrong_poses"]
+__all__ = ["drive", "labels", "measured_town", "wrong_poses"]
 
 
 @pytest.fixture
@@ -30,12 +31,9 @@ def run(capsys: pytest.CaptureFixture[str]) -> Call:
 
 
 @pytest.fixture
-def town(run: Call, drive: Path, wrong_poses: Path, labels: Labels, tmp_path: Path) -> Path:
-    """A workspace whose frames 5 to 7 are turned, with labels."""
-    folder = tmp_path / "town"
-    assert run("new", folder, "--kitti", drive, "--poses", wrong_poses, "--check-poses")[0] == 0
-    store_labels(Workspace.open(folder), labels)
-    return folder
+def town(measured_town: Path, tmp_path: Path) -> Path:
+    """A copy."""
+    return Path(shutil.copytree(measured_town, tmp_path / "town"))
 
 
 def worst_deg(frames: tuple[Frame, ...]) -> float:

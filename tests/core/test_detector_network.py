@@ -211,7 +211,7 @@ def test_it_learns_an_image_by_heart(tmp_path: Path, monkeypatch: pytest.MonkeyP
     before = HeatmapModel.of(DetectorNet(4, SMALL), DEFAULT_CLASSES)
     assert not before.find(an_image().image)
     task.make = lambda number: task.held_out(0)  # type: ignore[method-assign]
-    Trainer(task, tmp_path, TrainingOptions(samples=240, batch=2, workers=0, held_out=1)).run()
+    Trainer(task, tmp_path, TrainingOptions(samples=140, batch=2, workers=0, held_out=1)).run()
     network = DetectorNet(4, SMALL)
     network.load_state_dict(task.network.state_dict())
     found = HeatmapModel.of(network, DEFAULT_CLASSES).find(an_image().image)

@@ -293,5 +293,5 @@ def _rows(part: PriorPart, prior: Prior, pose: Pose) -> tuple[FloatArray, FloatA
     heading = 0.0 if prior.heading_rad is None else prior.heading_rad
     known = PriorRecord.of(replace(prior, up_camera=up, heading_rad=heading))
     residual, jacobian = np.zeros(MOST_ROWS), np.zeros((MOST_ROWS, 6))
-    prior_rows(known, pose.rotation, pose.translation, residual, jacobian)
+    prior_rows(known, *pose.writable(), residual, jacobian)
     return residual[part.rows], jacobian[part.rows]

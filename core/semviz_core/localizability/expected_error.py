@@ -142,7 +142,7 @@ def information_in_view(
     visible = visible_elements(elements, camera, T_camera_map, conditions)
     chosen = elements[visible.row]
     scene = PoseProblem.of(camera, visible.seen, chosen)
-    information = _element_information(scene, T_camera_map.rotation, T_camera_map.translation)
+    information = _element_information(scene, *T_camera_map.writable())
     draws = rng.random((len(chosen), 2, conditions.outcomes))
     found = draws[:, 0] < visible.recall[:, None]
     return ElementInformation(

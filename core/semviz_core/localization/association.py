@@ -65,7 +65,7 @@ def associate(
 def all_gains(problem: PoseProblem, R: FloatArray, t: FloatArray) -> FloatArray:
     """Return the gains (m, n) of every pair under an exact pose, -inf beyond the gate."""
     dense = np.full(problem.compatible.shape, _NONE)
-    seen, mapped, gain = gated_pairs(problem, R, t, EXACT_POSE)
+    seen, mapped, gain = gated_pairs(problem, R, t, EXACT_POSE.copy())
     for k in range(len(gain)):
         dense[seen[k], mapped[k]] = gain[k]
     return dense

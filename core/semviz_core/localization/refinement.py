@@ -142,10 +142,8 @@ def refine_pose(
     if reason := _too_uncertain(covariance):
         return Failure(_degeneracy(problem, pairs) or reason)
     residuals = problem_residuals(problem, best.T_camera_map, pairs)
-    support, open_m = leave_one_out_support(
-        problem, record, best.T_camera_map.rotation, best.T_camera_map.translation,
-        as_match(problem, pairs),
-    )  # fmt: skip
+    R, t = best.T_camera_map.writable()
+    support, open_m = leave_one_out_support(problem, record, R, t, as_match(problem, pairs))
     refinement = Refinement(
         pairs, residuals.residual_px, residuals.chi2, residuals.inlier, best.trace[:, 0],
         support[pairs[:, 0]], open_m[pairs[:, 0]], best.trace[1:, 1:],

@@ -89,9 +89,8 @@ def pair_residuals(
 
 def problem_residuals(problem: PoseProblem, T_camera_map: Pose, pairs: IntArray) -> PairResiduals:
     """Return ``pair_residuals`` of a problem."""
-    residual, chi2, count = _pair_residuals(
-        problem, T_camera_map.rotation, T_camera_map.translation, np.asarray(pairs, dtype=np.int64)
-    )
+    R, t = T_camera_map.writable()
+    residual, chi2, count = _pair_residuals(problem, R, t, np.asarray(pairs, dtype=np.int64))
     return PairResiduals(residual, chi2, count, chi2 <= INLIER_CHI2[count])
 
 

@@ -44,6 +44,7 @@ REFINED_COVARIANCE: FloatArray = np.diag([0.3**2] * 3 + [np.deg2rad(0.7) ** 2] *
 """Assumed covariance of a refined candidate."""
 FITTED_COVARIANCE: FloatArray = np.diag([0.1**2] * 3 + [np.deg2rad(0.2) ** 2] * 3)
 """Assumed covariance after the first fit, in addition to that of the fit."""
+# Compiled code passes copies: its constants are read-only, for which numba compiles once more.
 
 FIRST_STEPS, STEPS, STEPS_WITHOUT = np.int64(3), np.int64(5), np.int64(4)
 """Most steps of a fit: of a candidate, to new pairs, and without one of the pairs. Plain integers
@@ -158,7 +159,7 @@ def _effort_per_view(effort: Effort, views: int) -> Effort:
 def mode_near(problem: PoseProblem, prior: Prior, T_camera_map: Pose) -> Modes:
     """Return the single mode near a pose, fitted and scored as in ``search``."""
     R, t = T_camera_map.rotation.copy(), T_camera_map.translation.copy()
-    match, _ = associate(problem, R, t, FITTED_COVARIANCE)
+    match, _ = associate(problem, R, t, FITTED_COVARIANCE.copy())
     R, t, match, score = _fit_until_stable(problem, PriorRecord.of(prior), R, t, match)
     gain = all_gains(problem, R, t)
     return Modes(1, 1, R[None], t[None], np.array([score]), match[None], gain[None])
@@ -178,7 +179,7 @@ def _fitted_candidates(
     candidates = Candidates(np.empty((b, 3, 3)), np.empty((b, 3)), np.empty(b))
     for row in range(b):
         R, t = camera_pose(view, poses[chosen[row]])
-        match, _ = associate(problem, R, t, REFINED_COVARIANCE)
+        match, _ = associate(problem, R, t, REFINED_COVARIANCE.copy())
         R, t, information, _ = fit(problem, prior, R, t, match, FIRST_STEPS)
         match, gain = associate(problem, R, t, inverse(information) + FITTED_COVARIANCE)
         candidates.rotation[row], candidates.translation[row] = R, t
@@ -237,7 +238,7 @@ def _final_modes(
     matches = np.empty((b, m), dtype=np.int64)
     for row in range(b):
         R, t = candidates.rotation[kept[row]].copy(), candidates.translation[kept[row]].copy()
-        match, _ = associate(problem, R, t, FITTED_COVARIANCE)
+        match, _ = associate(problem, R, t, FITTED_COVARIANCE.copy())
         _store(fitted, matches, row, _fit_until_stable(problem, prior, R, t, match))
     best = _distinct(fitted)
     for row in _near_best(fitted, best[: effort.improved], effort):
@@ -298,9 +299,9 @@ def _best_score(
     for row in range(len(rotation)):
         R, t = rotation[row].copy(), translation[row].copy()
         if not fitted:
-            match, gain = associate(problem, R, t, EXACT_POSE)
+            match, gain = associate(problem, R, t, EXACT_POSE.copy())
             return log_likelihood(problem, prior, R, t, match, gain)
-        match, _ = associate(problem, R, t, FITTED_COVARIANCE)
+        match, _ = associate(problem, R, t, FITTED_COVARIANCE.copy())
         best = max(best, _fit_until_stable(problem, prior, R, t, match)[3])
     return best
 
@@ -337,7 +338,7 @@ def _fit_until_stable(
         if (match == before).all():
             break
     R, t, _, _ = fit(problem, prior, R, t, match, STEPS)
-    match, gain = associate(problem, R, t, EXACT_POSE)
+    match, gain = associate(problem, R, t, EXACT_POSE.copy())
     return R, t, match, log_likelihood(problem, prior, R, t, match, gain)
 
 

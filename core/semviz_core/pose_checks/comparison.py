@@ -145,13 +145,14 @@ def compare(poses: DrivePoses, motions: ImageMotions) -> PoseComparison:
     sigma = np.sqrt(SIGMA_LEAST * SIGMA_MOST)
     rig, free = RigErrors.none(), motions.has_stereo and bool(used.any())
     weight = used.astype(np.float64)
+    alone = _ImagesAlone.of(scaled)
     for _ in range(_ROUNDS):
         if free:
-            rig = _rig_errors(scaled, error, sigma, weight)
-        innovation, chi2 = _innovations(scaled, error, sigma, rig)
+            rig = _rig_errors(scaled, alone, error, sigma, weight)
+        innovation, chi2 = _innovations(scaled, alone, error, sigma, rig)
         sigma = _pose_sigma(innovation[used], scaled.has_stereo)
         weight = used / (1.0 + chi2 / LIMIT) ** 2
-    innovation, chi2 = _innovations(scaled, error, sigma, rig)
+    innovation, chi2 = _innovations(scaled, alone, error, sigma, rig)
     return PoseComparison(
         np.where(used[:, None], innovation, 0.0),
         np.where(used, chi2, 0.0),
@@ -194,8 +195,36 @@ def rotation_vectors(rotations: FloatArray) -> FloatArray:
     return vectors
 
 
+@dataclass(frozen=True, eq=False)
+class _ImagesAlone:
+    """What the images say without poses: the same in each round."""
+
+    rig_information: FloatArray
+    """(n, 3, 3) normal equations of the rig, the motions eliminated."""
+    rig_linear: FloatArray
+    """(n, 3)"""
+    motion_covariance: FloatArray
+    """(n, 6, 6) given the rig."""
+
+    @classmethod
+    def of(cls, motions: ImageMotions) -> "_ImagesAlone":
+        H, linear = motions.information, motions.linear
+        A, b = _without_motion(H, linear[:, MOTION], linear[:, RIG], np.zeros((6, 6)))
+        covariance = np.linalg.pinv(H[:, MOTION, MOTION], rcond=1e-10, hermitian=True)
+        return cls(A, b, np.asarray(covariance, dtype=np.float64))
+
+    def right_u_px(self, rows: IntArray, weight: FloatArray) -> float:
+        """Return the shift of the right image along u by some pairs."""
+        A, b = self.rig_information[rows, RIGHT_U, RIGHT_U], self.rig_linear[rows, RIGHT_U]
+        return float((weight[rows] @ b) / max(weight[rows] @ A, 1e-6))
+
+
 def _rig_errors(
-    motions: ImageMotions, error: FloatArray, sigma: FloatArray, weight: FloatArray
+    motions: ImageMotions,
+    alone: _ImagesAlone,
+    error: FloatArray,
+    sigma: FloatArray,
+    weight: FloatArray,
 ) -> RigErrors:
     """Return the rig's errors by weighted least squares over all pairs, motions eliminated."""
     H, linear, S = motions.information, motions.linear, np.diag(sigma**-2)
@@ -205,13 +234,9 @@ def _rig_errors(
     values = covariance @ (weight @ b)
     by_right_u = covariance[:, RIGHT_U] / covariance[RIGHT_U, RIGHT_U]
     covariance = _with_spread(covariance, weight[:, None] * (b - A @ values))
-    A, b = _without_motion(H, linear[:, MOTION], linear[:, RIG], np.zeros((6, 6)))
-    halves = np.array_split(np.arange(len(H)), 2)
-    alone = [
-        float((weight[rows] @ b[rows, RIGHT_U]) / max(weight[rows] @ A[rows, 1, 1], 1e-6))
-        for rows in halves
-    ]
-    return RigErrors(values, covariance, (alone[0], alone[1]), by_right_u)
+    first, second = np.array_split(np.arange(len(H)), 2)
+    halves = alone.right_u_px(first, weight), alone.right_u_px(second, weight)
+    return RigErrors(values, covariance, halves, by_right_u)
 
 
 def _with_spread(covariance: FloatArray, scores: FloatArray) -> FloatArray:
@@ -234,22 +259,25 @@ def _without_motion(
     """Return normal equations (n, 3, 3), (n, 3) of the rig with the motions eliminated."""
     across = H[:, MOTION, RIG]
     K = np.linalg.pinv(H[:, MOTION, MOTION] + prior, rcond=1e-12, hermitian=True)
-    A = H[:, RIG, RIG] - np.einsum("nij,nik,nkl->njl", across, K, across, optimize=True)
-    return A, rig - np.einsum("nij,nik,nk->nj", across, K, motion, optimize=True)
+    pull = across.transpose(0, 2, 1) @ K
+    return H[:, RIG, RIG] - pull @ across, rig - (pull @ motion[:, :, None])[:, :, 0]
 
 
 def _innovations(
-    motions: ImageMotions, error: FloatArray, sigma: FloatArray, rig: RigErrors
+    motions: ImageMotions,
+    alone: _ImagesAlone,
+    error: FloatArray,
+    sigma: FloatArray,
+    rig: RigErrors,
 ) -> tuple[FloatArray, FloatArray]:
     """Return innovations (n, 6), and their chi2 (n,), given the errors of the rig."""
     A = motions.information[:, MOTION, MOTION]
     pull = motions.linear[:, MOTION] - motions.information[:, MOTION, RIG] @ rig.values
-    measured = np.einsum("nij,nj->ni", np.linalg.pinv(A, rcond=1e-10, hermitian=True), pull)
-    innovation = error - measured
+    innovation = error - np.einsum("nij,nj->ni", alone.motion_covariance, pull)
     K = np.linalg.inv(A + np.diag(sigma**-2))
     g = np.einsum("nij,nj->ni", A, innovation)
     own = np.einsum("ni,ni->n", innovation, g)
-    chi2 = own - np.einsum("ni,nij,nj->n", g, K, g, optimize=True)
+    chi2 = own - np.einsum("ni,ni->n", g, np.einsum("nij,nj->ni", K, g))
     return innovation, np.maximum(chi2, 0.0)
 
 

@@ -168,9 +168,8 @@ class PairRows:
 def pair_rows(problem: PoseProblem, T_camera_map: Pose, pairs: IntArray) -> PairRows:
     """Return the residual rows of ``pairs`` (k, 2), rows of observed and mapped elements."""
     pairs = np.ascontiguousarray(pairs)
-    count, bottom, residual, by_pose, by_element, length = _fill(
-        problem, T_camera_map.rotation, T_camera_map.translation, pairs
-    )
+    R, t = T_camera_map.writable()
+    count, bottom, residual, by_pose, by_element, length = _fill(problem, R, t, pairs)
     index = np.arange(4)
     seen = problem.seen[pairs[:, 0]]
     across = (index == 0) | ((index == 1) & seen["is_line"][:, None])
