@@ -29,7 +29,7 @@ from semviz_core.base.pose import angle_between
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.datasets.own_drive import match_checks
-from semviz_core.datasets.own_drive.image_files import ImageFolder
+from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
 
 ROW_PICTURE = Path("checks", "rows.png")

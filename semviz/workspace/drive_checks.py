@@ -16,7 +16,7 @@ from semviz_core.base.frame import Dataset, Frame
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.common.limits import MOST_TEXT_BYTES, read_limited, shown
-from semviz_core.datasets.own_drive import line_checks, match_checks
+from semviz_core.datasets.own_drive import line_checks, match_checks, pose_remedies
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
 from semviz_core.datasets.rig_cameras import DatasetWithFrames, frames_by_camera
 from semviz_core.pose_checks.comparison import (
@@ -226,29 +226,36 @@ def _poses(
     dataset: Dataset, drive: RecordedDrive, camera: str, motions: PoseCheck | None
 ) -> DriveCheck:
     assert drive.axes is not None
-    found = match_checks.check_poses(
-        dataset, drive.axes.T_map_world, drive.rectified.T_left_rectified
+    assert drive.taken is not None
+    mount = drive.cameras[camera].T_first_camera if camera else None
+    taken = drive.taken if mount is None else drive.taken.of_camera(mount)
+    found = pose_remedies.compare_poses(
+        dataset, drive.axes.T_map_world, drive.rectified.T_left_rectified, taken
     )
     name, of = _of(camera)
+    axes = [fault.text for fault in motions.faults if fault.kind == "axes"] if motions else []
+    passed = found.agrees and not axes if found.is_known else None
     warning = ""
-    if not found.agrees:
-        remedy = f"{found.remedy} fits" if found.remedy else "poses of another drive, or other axes"
-        axes = [fault.text for fault in motions.faults if fault.kind == "axes"] if motions else []
-        if axes and not found.remedy:
+    if passed is False:
+        remedy = "poses of another drive, or other axes"
+        if found.remedies:
+            remedy = f"{' or '.join(found.remedies)} fits"
+        elif axes:
             remedy = f"{axes[0]}; convert the file of poses"
         warning = (
             f"{of}only {found.share:.0%} of the matches between images agree with the poses: "
             f"{remedy}"
         )
+    option = found.remedies[0] if found.remedies else ""
     return DriveCheck(
         kind="poses",
         name="poses against images" + name,
         measured=f"{found.matches} matches, that agree",
         value=f"{found.share:.0%}" if found.is_known else "-",
-        limit=f"over {match_checks.LEAST_SHARE:.0%}",
-        passed=found.agrees if found.is_known else None,
+        limit=f"over {pose_remedies.LEAST_SHARE:.0%}",
+        passed=passed,
         warning=warning,
-        option=found.remedy if found.remedy.startswith("--") else "",
+        option=option if option.startswith("--") else "",
         frame=dataset.frames[len(dataset.frames) // 2].index,
     )
 

@@ -18,7 +18,7 @@ from semviz.workspace.workspace import Workspace
 from semviz_core.base.camera import Rig
 from semviz_core.base.pose import so3_exp
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.image_files import ImageFolder
+from semviz_core.datasets.own_drive.image_folder import ImageFolder
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

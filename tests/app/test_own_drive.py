@@ -24,7 +24,7 @@ from semviz_core.base.frame import Side
 from semviz_core.base.pose import so3_exp
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.image_files import ImageFolder
+from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.lens import OriginalCamera
 from semviz_core.simulation.street import Street
 

@@ -74,6 +74,8 @@ class RecordedDrive:
     warnings: tuple[str, ...]
     axes: conventions.WorldAxes | None
     """None without poses."""
+    taken: conventions.PoseConventions | None
+    """What poses were taken as, with the first camera's place; None without poses."""
     most_view_deg: float
     """As asked for."""
     left_out: tuple[LeftOutImage, ...]
@@ -151,8 +153,22 @@ def read_drive(files: DriveFiles) -> RecordedDrive:
         tuple(statements),
         tuple(statements.warnings),
         axes,
+        _taken(files, first),
         files.most_view_deg,
         tuple(left_out),
+    )
+
+
+def _taken(files: DriveFiles, images: RecordedImages) -> conventions.PoseConventions | None:
+    if images.posed is None:
+        return None
+    recorded = images.posed.poses
+    T_body_camera, _ = body_from_camera(files, recorded, images.calibration)
+    return conventions.PoseConventions(
+        files.direction or recorded.direction,
+        files.axes or recorded.axes,
+        recorded.quaternion,
+        T_body_camera,
     )
 
 
