@@ -17,7 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from semviz.workspace.drive_checks import motion_checks
+from semviz.workspace.motion_checks import motion_checks
 from semviz_core.base.camera import Camera, Rig
 from semviz_core.base.frame import Frame, Side
 from semviz_core.base.pose import Pose, so3_exp

@@ -235,7 +235,7 @@ class NewCommand:
             print_warning,
             write_refined,
         )
-        from semviz.workspace.drive_checks import CHECKS, DriveChecks, StepErrors, save_checks
+        from semviz.workspace.drive_check_file import CHECKS, DriveChecks, StepErrors, save_checks
         from semviz.workspace.workspace import Workspace
         from semviz_core.datasets.own_drive.recorded_drive import read_drive
         from semviz_core.datasets.validation import unusual_motion

@@ -13,7 +13,7 @@ from streets import street, street_workspace
 
 from semviz.annotator.drive_view import drive_pair, drive_view
 from semviz.cli import main
-from semviz.workspace.drive_checks import CHECKS
+from semviz.workspace.drive_check_file import CHECKS
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.camera import Rig
 from semviz_core.base.pose import so3_exp

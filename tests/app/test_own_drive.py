@@ -381,7 +381,7 @@ def test_images_that_are_left_out_are_listed_as_text_for_spreadsheets(
         "--right", tmp_path / "right", "--calibration", tmp_path / "cam.toml",
     )  # fmt: skip
     assert code == 0, err
-    assert "warning: 2 images have none on the other side: left out" in err
+    assert "warning: 2 images without one on the other side: left out" in err
     path = tmp_path / "town" / "left-out.csv"
     assert f"  left out     {path} which images, and why\n" in out
     reason = "no match by name in the other camera"

@@ -16,6 +16,10 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.trajectory import MOST_LINES, read_text
 
 _VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".hevc", ".m4v", ".webm")
+_EXIF_BYTES = 2**12
+_DARK = 2**14
+"""Images of 16 bits that are never brighter: of 12 bits or less."""
+_OTHERS = (".tif", ".tiff", ".webp", ".bmp", ".pgm", ".ppm", ".jp2", ".heic", ".exr")
 _MOST_LOOKED_AT = 2000
 SUFFIXES = (".png", ".jpg", ".jpeg")
 TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns"]
@@ -25,8 +29,13 @@ _UNUSUAL = re.compile(r"[\\\x00-\x1f\x7f\ud800-\udfff]")
 _LARGEST = 1e25
 MOST_PAIR_S = 0.002
 """Between the images of a stereo pair; a car at 20 m/s moves 4 cm."""
-_TIME_DIGITS = 10
-"""A name of so many digits is a time since 1970: seconds, or a smaller unit."""
+_NAMED_TIME = re.compile(r"(|.*[^\d.])([1-9]\d{9,}(?:\.\d+)?)")
+"""A number of ten digits or more, as ``1403715273262142976`` or ``left_1403715273.262143``, is a
+time since 1970; one that begins with 0 counts images."""
+_SINCE_S, _UNTIL_S = 0.3e9, 4.2e9
+"""1979 to 2103."""
+_SPLIT_TIME = re.compile(r"(|.*[^\d.])([1-9]\d{9})[-_](\d{9})")
+"""Seconds and nanoseconds."""
 
 
 @dataclass(frozen=True)
@@ -187,6 +196,8 @@ def _names(path: Path) -> list[str]:
     if not found:
         below = _images_below(folder)
         there = "" if below is None else f"; there are some in {below}: name that one"
+        if other := next((o for f in folder.iterdir() if (o := f.suffix.lower()) in _OTHERS), ""):
+            there = f"; convert its {other} files: mogrify -format png *{other}"
         raise SemvizError(f"{path}: a folder without images; expected .png or .jpg{there}")
     wrong = next((name for name in found if _UNUSUAL.search(name)), None)
     if wrong is not None:
@@ -223,6 +234,25 @@ def size_of_images(folder: Path, names: Sequence[str]) -> tuple[int, int]:
     return sizes[0]
 
 
+def refuse_turned_or_dark(path: Path) -> None:
+    """Raise SemvizError if an image is stored turned, or black when its upper 8 bits are shown.
+
+    A calibration may be for turned pixels or not. Usual images are not decoded.
+    """
+    data = limits.read_limited(path, limits.MOST_IMAGE_BYTES)
+    if b"Exif" in data[:_EXIF_BYTES] and limits.is_turned(data, path):
+        raise SemvizError(
+            f"{path}: is stored turned, with an EXIF orientation; turn the pixels of all images "
+            "for good and calibrate these: mogrify -auto-orient *.jpg"
+        )
+    brightest = limits.brightest_of_16_bits(data, path)
+    if brightest is not None and brightest < _DARK:
+        raise SemvizError(
+            f"{path}: an image of 16 bits whose brightest value is {brightest} of 65535; write all "
+            "with 8 bits, from dark to bright: mogrify -normalize -depth 8 *.png"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class ImageTimes:
     """When images were taken, and how that is known."""
@@ -235,12 +265,21 @@ class ImageTimes:
 
 
 def times_from_names(names: Sequence[str], unit: TimeUnit | None) -> ImageTimes | None:
-    """Return the times that names such as ``1403715273262142976.png`` are; None if they are not."""
+    """Return the times in names such as ``1403715273262142976.png``; None if they are no times.
+
+    All may begin with the same text: ``left_1403715273.262143.png``.
+    """
     stems = [Path(name).stem for name in names]
-    if not all(re.fullmatch(rf"\d{{{_TIME_DIGITS},}}(\.\d+)?", stem) for stem in stems):
+    split = [_SPLIT_TIME.fullmatch(stem) for stem in stems]
+    found = [_NAMED_TIME.fullmatch(stem) for stem in stems] if None in split else split
+    words = [".".join(one.groups()[1:]) for one in found if one is not None]
+    heads = {one[1] for one in found if one is not None}
+    if len(words) < len(names) or len(heads) > 1:
         return None
-    time_s, unit = in_seconds(stems, unit)
-    return ImageTimes(time_s, "names of the images", unit)
+    time_s, found_unit = in_seconds(words, unit)
+    if unit is None and (time_s.min() < _SINCE_S or time_s.max() > _UNTIL_S):
+        return None  # a date without separators
+    return ImageTimes(time_s, "names of the images", found_unit)
 
 
 def read_times(path: Path, names: Sequence[str], unit: TimeUnit | None) -> ImageTimes:
@@ -251,7 +290,7 @@ def read_times(path: Path, names: Sequence[str], unit: TimeUnit | None) -> Image
     has none.
     """
     lines = [
-        re.split(r"[\s,;]+", line.strip())
+        _fields(line)
         for line in read_text(path).splitlines()
         if line.strip() and not line.lstrip().startswith("#")
     ]
@@ -259,8 +298,8 @@ def read_times(path: Path, names: Sequence[str], unit: TimeUnit | None) -> Image
         lines = lines[1:]  # the names of columns
     by_name = {}
     for row in lines:
-        texts = [word for word in row[:2] if Path(word).suffix.lower() in SUFFIXES]
-        numbers = [word for word in row[:2] if is_number(word)]
+        texts = [word for word in row if Path(word).suffix.lower() in SUFFIXES]
+        numbers = [word for word in row if is_number(word)]
         if texts and numbers:
             by_name[Path(texts[0]).name] = numbers[0]
     if by_name:
@@ -282,6 +321,17 @@ def read_times(path: Path, names: Sequence[str], unit: TimeUnit | None) -> Image
     if (np.diff(time_s) < 0.0).any() and not by_name:
         raise SemvizError(f"{path}: times go backwards; put the images' names beside them")
     return ImageTimes(time_s, path.name, unit)
+
+
+def _fields(line: str) -> list[str]:
+    """Return the first two fields of a line; a name of an image may hold spaces and commas."""
+    words = re.split(r"[\s,;]+", line.strip())
+    if Path(words[-1].strip('"')).suffix.lower() in SUFFIXES and is_number(words[0]):
+        return [words[0], line.strip().partition(words[0])[2].strip(' \t,;"')]
+    named = re.fullmatch(r"(.+\.\w+)[\s,;\"]+(\S+)", line.strip())
+    if named is not None and Path(named[1]).suffix.lower() in SUFFIXES and is_number(named[2]):
+        return [named[1].lstrip('"'), named[2]]
+    return words[:2]
 
 
 def is_number(word: str) -> bool:

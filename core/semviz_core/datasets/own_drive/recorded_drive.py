@@ -267,8 +267,28 @@ def _state_matched(reading: Reading, images: RecordedImages, its: _Frames) -> No
     if posed < count:
         reading.warn(
             f"{count - posed} of {count} images have no pose: they can be labelled, and are left "
-            "out of maps"
+            f"out of maps{_why_most(reading, images, its)}"
         )
+
+
+def _why_most(reading: Reading, images: RecordedImages, its: _Frames) -> str:
+    """Say why images have no pose, if most of them are between poses too far apart."""
+    assert images.posed is not None
+    pose_s = images.posed.poses.time_s
+    if pose_s is None or images.posed.poses.names is not None or len(pose_s) < 2:
+        return ""
+    moments = its.times.time_s[[pose is None for pose in its.poses]]
+    after = np.searchsorted(pose_s, moments)
+    between = (after > 0) & (after < len(pose_s))
+    if between.sum() < 0.5 * len(moments):
+        return ""
+    apart_s = float(np.median(np.diff(pose_s)[after[between] - 1]))
+    if apart_s <= reading.files.most_gap_s:
+        return ""
+    return (
+        f". Poses around them are {apart_s:.2f} s apart: --most-gap {1.1 * apart_s:.2g} would "
+        "interpolate between these, as if the car drove straight"
+    )
 
 
 def _in_map(
