@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from semviz.workspace.drive_check_file import DriveCheck, words_of
-from semviz.workspace.motion_checks import motion_checks
+from semviz.workspace.motion_checks import motion_checks, turned_check
 from semviz_core.base.frame import Dataset, Frame
 from semviz_core.datasets.own_drive import line_checks, match_checks, pose_remedies
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
@@ -59,6 +59,8 @@ def check_drive_files(dataset: Dataset, drive: RecordedDrive) -> DriveFindings:
         if motions is not None and poses.passed is not False:
             checks += motion_checks(motions, images.rig, camera)
             first = motions if first is None else first
+        elif motions is not None and not poses.option:
+            checks += turned_check(motions, camera)
     checks += [gap for camera, images in cameras.items() for gap in _gaps(images.frames, camera)]
     return DriveFindings(tuple(checks), first)
 

@@ -23,6 +23,8 @@ SCALE_AT_M = 30.0
 """Depth that a turned right camera changes is stated here."""
 LEAST_TURN_RAD = float(np.deg2rad(0.5))
 """Of a camera in its body; the poses of good drives leave up to half of it."""
+_MOST_TURN_RAD = float(np.deg2rad(20.0))
+"""Of a camera that a person mounted about as stated."""
 _OTHER_UNIT, _NEAR_POWER = 1.5, 0.1
 """A scale so far from 1 is another unit: of ten, a hundred or a thousand if it is so near."""
 _STANDING, _LEAST_STEP_M = 0.01, 0.01
@@ -46,6 +48,15 @@ def motion_checks(found: PoseCheck, rig: Rig, camera: str) -> Iterator[DriveChec
     yield _time(found, faults.get("time"), camera)
     if mount.passed:  # else no step follows
         yield _steps(found, camera)
+
+
+def turned_check(found: PoseCheck, camera: str) -> list[DriveCheck]:
+    """Return the check of the camera's place in its body, if poses with which few matches agree
+    would agree with a camera turned by some degrees."""
+    turn_rad, _ = turned_camera(DrivePoses.of(found.frames), found.comparison)
+    mount = _mount(found, camera)
+    small = np.linalg.norm(turn_rad) < _MOST_TURN_RAD
+    return [mount] if small and not mount.passed else []
 
 
 def _length_ratio(found: PoseCheck) -> float | None:

@@ -13,6 +13,7 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.image_files import times_from_names
 from semviz_core.datasets.own_drive.lens import OriginalRig
+from semviz_core.datasets.own_drive.pose_files import read_poses
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles
 from semviz_core.datasets.own_drive.rectification import rectify_rig
@@ -176,3 +177,29 @@ def test_a_right_camera_that_cannot_be_there_is_refused(
     camera = read_drive(drive).original.left
     with pytest.raises(SemvizError, match=message):
         rectify_rig(OriginalRig(camera, camera, Pose(np.eye(3), np.array([x_m, 0.0, 0.0]))))
+
+
+@pytest.mark.parametrize(
+    ("column", "written", "doubt"),
+    [
+        ("heading", lambda heading: heading, ""),
+        ("heading", lambda heading: heading + 180.0, ""),  # it drives backwards
+        ("heading", np.deg2rad, "were in radians; call the column heading_rad"),
+        ("heading_deg", lambda heading: 90.0 - heading, "counterclockwise from east"),
+        ("heading_deg", lambda heading: -heading, "counterclockwise from north"),
+        ("heading_deg", lambda heading: heading + 60.0, ""),  # fits no other meaning
+    ],
+)
+def test_headings_are_compared_with_the_direction_of_travel(
+    tmp_path: Path, column: str, written: Callable[[float], float], doubt: str
+) -> None:
+    lines = [f"time,lat,lon,height,{column}"]
+    for index in range(12):
+        heading = 20.0 + index
+        lat, lon = 48.0 + 1e-5 * index * np.cos(np.deg2rad(22)), 11.0 + 1e-5 * index * 0.56
+        lines.append(f"{index},{lat:.9f},{lon:.9f},500,{written(heading):.6f}")
+    path = tmp_path / "gnss.csv"
+    path.write_text("\n".join(lines))
+    found = read_poses(path).doubt
+    assert doubt in found
+    assert bool(found) == bool(doubt)

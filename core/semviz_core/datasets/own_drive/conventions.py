@@ -58,6 +58,8 @@ class RecordedPoses:
     quaternion: QuaternionOrder | None = None
     note: str = ""
     """What else was taken for granted, for people."""
+    doubt: str = ""
+    """What contradicts that in the file itself, for people."""
 
     @property
     def order(self) -> str:

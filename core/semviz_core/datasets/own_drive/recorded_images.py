@@ -299,6 +299,8 @@ def _state_poses(reading: Reading, recorded: RecordedPoses, of_what: str) -> Non
     order = files.quaternion or recorded.quaternion
     unit = "" if recorded.time_unit is None else f", times in {recorded.time_unit}"
     reading.state("poses", f"{recorded.path.name} {recorded.format}, of {of_what}")
+    if recorded.doubt:
+        reading.warn(f"{recorded.path.name}: {recorded.doubt}")
     reading.state(
         "taken as",
         f"{direction}, {files.axes or recorded.axes} camera axes"
