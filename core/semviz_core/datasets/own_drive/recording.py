@@ -206,7 +206,6 @@ def chosen_cameras(
     if unknown or len(chosen) not in (1, 2) or len(set(chosen)) != len(chosen):
         fault = f"no camera {shown(unknown[0], 60)}" if unknown else "choose one camera or two"
         raise SemvizError(
-            f"{files.images}: {fault}; --cameras LEFT[,RIGHT] of "
-            f"{shown(', '.join(known), 600)}"
+            f"{files.images}: {fault}; --cameras LEFT[,RIGHT] of {shown(', '.join(known), 600)}"
         )
     return chosen
