@@ -37,6 +37,8 @@ LEAST_SHARE = 0.5
 """Poses: of the matches that agree with them; poses of a car's camera reach 0.8 and more."""
 _APART_M = (0.2, 6.0)
 _NEAR_LINE_PX = 2.0
+_SURE_SHARE, _BETTER = 0.8, 1.25
+"""Poses with which fewer agree are wrong if with others so many times more would."""
 _AS_GOOD = 0.03
 """Remedies with which so little less of all matches agree fit as well as the best."""
 _SAME = 1e-6
@@ -59,7 +61,7 @@ class PoseAgreement:
 
     @property
     def agrees(self) -> bool:
-        return not self.is_known or self.share >= LEAST_SHARE
+        return not self.is_known or (self.share >= LEAST_SHARE and not self.remedies)
 
 
 def compare_poses(
@@ -75,7 +77,7 @@ def compare_poses(
         return PoseAgreement(count, 0.0)
     camera = dataset.rig.left
     share = _agreeing(camera, matched) / count
-    if share >= LEAST_SHARE:
+    if share >= _SURE_SHARE:
         return PoseAgreement(count, share)
     world, turn = T_map_world.inverse(), T_left_rectified.inverse()
     shares = {}
@@ -86,7 +88,7 @@ def compare_poses(
 
         motions = [_Motion(m.pixels, changed(m.before), changed(m.now)) for m in matched]
         shares[remedy] = _agreeing(camera, motions) / count
-    least = max(LEAST_SHARE, 1.5 * share, max(shares.values()) - _AS_GOOD)
+    least = max(LEAST_SHARE, _BETTER * share, max(shares.values()) - _AS_GOOD)
     return PoseAgreement(count, share, tuple(name for name in shares if shares[name] >= least))
 
 
