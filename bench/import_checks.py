@@ -6,6 +6,7 @@ DRIVES holds utbm_stereo, euroc_micro, kitti360_nerf and nuscenes_frame, KITTI o
 02; they are not part of the project. *left* is the radial distortion that is left in the images
 (k of k r^2), found with one standard deviation; a fault is named beyond four of them and 0.03. The
 second table plants faults in the poses of KITTI's frames, whose images' motions are measured once.
+The third plants wrong conventions: how many matches agree, and what is named instead.
 """
 
 import sys
@@ -16,8 +17,9 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from semviz.workspace.drive_checks import motion_checks
+from semviz.workspace.motion_checks import motion_checks
 from semviz_core.base.camera import Camera, Rig
 from semviz_core.base.frame import Frame, Side
 from semviz_core.base.pose import Pose, so3_exp
@@ -25,7 +27,10 @@ from semviz_core.base.semantic_map import MapFrame
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.datasets.kitti import KittiSequence
 from semviz_core.datasets.own_drive.calibration_files import read_calibration
+from semviz_core.datasets.own_drive.conventions import NAMED_EXTRINSICS, PoseConventions
 from semviz_core.datasets.own_drive.line_checks import check_lines
+from semviz_core.datasets.own_drive.pose_remedies import compare_poses
+from semviz_core.datasets.rig_cameras import DatasetWithFrames
 from semviz_core.pose_checks.comparison import DrivePoses
 from semviz_core.pose_checks.faults import check_drive
 from semviz_core.pose_checks.image_motions import measure_motions
@@ -134,6 +139,56 @@ def print_motions(kitti: Path) -> None:
         print(f"| {name} | {' | '.join(texts)} |")
 
 
+EXTRINSIC = NAMED_EXTRINSICS["flu"] @ Pose(so3_exp(np.array([0.0, 0.1, 0.0])), np.array([0, 0, 1]))
+"""T_body_camera of a camera ahead of its body, and turned in it."""
+C2W = PoseConventions("camera-to-world", "opencv")
+
+
+def with_numbers_in_order(T: Pose) -> Pose:
+    """Return a pose whose quaternion, w first, was read with w last."""
+    numbers = np.roll(T.as_quaternion(), 1)
+    return Pose(Rotation.from_quat(numbers).as_matrix(), T.translation)
+
+
+def mirrored(T: Pose) -> Pose:
+    """Return a pose in a world whose y axis points the other way."""
+    flip = np.diag([1.0, -1.0, 1.0])
+    return Pose(flip @ T.rotation @ flip, flip @ T.translation)
+
+
+def conventions() -> dict[str, tuple[Callable[[Pose], Pose], PoseConventions]]:
+    """Return how poses of a camera are written, and what they are taken as."""
+    quaternions = replace(C2W, quaternion="xyzw")
+    body = replace(C2W, T_body_camera=EXTRINSIC)
+    inverse = replace(C2W, T_body_camera=EXTRINSIC.inverse())
+    return {
+        "none": (lambda T: T, quaternions),
+        "world to camera": (replace(C2W, direction="world-to-camera").recorded_pose, quaternions),
+        "OpenGL's axes": (replace(C2W, axes="opengl").recorded_pose, quaternions),
+        "w first": (with_numbers_in_order, quaternions),
+        "of a body, no extrinsic": (body.recorded_pose, quaternions),
+        "extrinsic inverted": (body.recorded_pose, replace(inverse, quaternion="xyzw")),
+        "rotations transposed": (lambda T: Pose(T.rotation.T, T.translation), C2W),
+        "mirrored world": (mirrored, C2W),
+    }
+
+
+def print_conventions(kitti: Path) -> None:
+    source = KittiSequence(kitti, "02", (2, 3), range(20))
+    print("\n| written | agree | named |")
+    print("|---|--:|---|")
+    for name, (write, taken) in conventions().items():
+        frames = tuple(
+            replace(frame, T_map_camera=taken.camera_pose(write(frame.T_map_camera)))
+            for frame in source.frames
+            if frame.T_map_camera is not None
+        )
+        found = compare_poses(
+            DatasetWithFrames(source, frames), Pose.identity(), Pose.identity(), taken
+        )
+        print(f"| {name} | {found.share:.0%} | {' or '.join(found.remedies)} |", flush=True)
+
+
 def main() -> None:
     print("| drive | images | calibration | edges | left, k | named |")
     print("|---|--:|---|--:|--:|---|")
@@ -154,6 +209,7 @@ def main() -> None:
             named = "no" if found.is_straight else "yes"
             print(f"| {name} | {len(paths)} | {case} | {found.edges} | {k} | {named} |")
     print_motions(Path(sys.argv[2]))
+    print_conventions(Path(sys.argv[2]))
 
 
 if __name__ == "__main__":

@@ -1,27 +1,35 @@
 """Import one real drive from several formats, and measure how well they agree.
 
-    python bench/own_drive.py UTBM_STEREO
+    python bench/own_drive.py UTBM_STEREO [--pages]
 
 UTBM_STEREO holds five stereo frames of a car with strong distortion: bb2_left, bb2_right,
 bb2_left.yaml (ROS camera_info), poses_left_tum.txt, kapture_records_camera.txt, COLMAP models
 sparse_text and sparse/0, and nerfstudio's transforms.json; mcap_rosbag/utbm_mcap beside it the same
 as MCAP, whose world has x ahead and z up. They are not part of the project.
-Prints for each import its time, the median distance (px) of COLMAP's points from where COLMAP
+Prints for each import the median distance (px) of COLMAP's points from where COLMAP
 observed them in the left images, and the largest distance (px) of a point from its place in the
-first import, both in recorded pixels.
+first import, both in recorded pixels. With ``--pages``, the time from the folder to the first page
+as well: of `semviz new` with its checks, in s of one core, and of `semviz annotate` until Chromium
+shows the first image, in s by the clock.
 """
 
+import resource
+import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
+import tests_support  # noqa: F401
+from annotator_page import Killable
+from journeys.driver import LabelDriver
+from playwright.sync_api import sync_playwright
 
 from semviz.workspace.drive_file import DriveFile, ImageFolders
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
-from semviz_core.datasets.own_drive.image_files import ImageFolder
+from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive, read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles
 from semviz_core.datasets.trajectory import T_MAP_WORLD
@@ -89,8 +97,8 @@ def reprojection_px(
     return np.concatenate(distances)
 
 
-def measure(root: Path) -> dict[str, tuple[float, float, float]]:
-    """Return time (s), median reprojection (px) and largest difference (px) of each import."""
+def measure(root: Path) -> dict[str, tuple[float, float]]:
+    """Return median reprojection (px) and largest difference (px) of each import."""
     points, seen = colmap_points(root)
     ids = sorted(points)
     positions = np.array([points[number] for number in ids])
@@ -98,12 +106,9 @@ def measure(root: Path) -> dict[str, tuple[float, float, float]]:
     results = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, files in imports(root, Path(folder)).items():
-            start = time.perf_counter()
             drive = read_drive(files)
             content = DriveFile.of(drive, "utbm")
             dataset = content.dataset(ImageFolders.of_drive(drive), Path(folder) / name)
-            dataset.image(dataset.frames[0].index, "left")
-            seconds = time.perf_counter() - start
             assert drive.axes is not None
             T_world_colmap = T_MAP_WORLD if name == "MCAP" else Pose.identity()
             T_map_colmap = drive.axes.T_map_world @ T_world_colmap
@@ -112,15 +117,43 @@ def measure(root: Path) -> dict[str, tuple[float, float, float]]:
             here = np.array(pixels)
             first = here if first is None else first
             apart = float(np.linalg.norm(here - first, axis=2).max())
-            results[name] = (seconds, float(np.median(distances)), apart)
+            results[name] = float(np.median(distances)), apart
     return results
 
 
+def first_page(files: DriveFiles, town: Path) -> tuple[float, float]:
+    """Return CPU time (s) of `semviz new`, and time (s) of `semviz annotate` to its first image."""
+    named = ("images", "right", "calibration", "poses", "times")
+    given = [(f"--{name}", str(getattr(files, name))) for name in named if getattr(files, name)]
+    words = [word for pair in given for word in pair] + ["--metric"] * files.metric
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    command = [sys.executable, "-m", "semviz.cli", "new", str(town), *words]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path="/usr/bin/chromium")
+        start = time.perf_counter()
+        annotate = Killable(town)
+        LabelDriver(browser.new_page()).open(annotate.start())
+        page_s = time.perf_counter() - start
+        browser.close()
+        annotate.kill()
+    return spent_s, page_s
+
+
 def main() -> None:
-    print("| import | to the first image (s) | reprojection, median (px) | difference (px) |")
-    print("|---|--:|--:|--:|")
-    for name, (seconds, reprojection_median_px, apart_px) in measure(Path(sys.argv[1])).items():
-        print(f"| {name} | {seconds:.1f} | {reprojection_median_px:.3f} | {apart_px:.4f} |")
+    root, pages = Path(sys.argv[1]), "--pages" in sys.argv
+    print("| import | reprojection, median (px) | difference (px) | new, CPU (s) | page (s) |")
+    print("|---|--:|--:|--:|--:|")
+    for name, (reprojection_median_px, apart_px) in measure(root).items():
+        row = f"| {name} | {reprojection_median_px:.3f} | {apart_px:.3f} |"
+        if pages:
+            with tempfile.TemporaryDirectory() as folder:
+                files = imports(root, Path(folder))[name]
+                new_s, page_s = first_page(files, Path(folder) / "town")
+            row += f" {new_s:.1f} | {page_s:.1f} |"
+        print(row, flush=True)
 
 
 if __name__ == "__main__":

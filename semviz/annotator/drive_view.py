@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from semviz.web.protocol import Part
-from semviz.workspace.drive_checks import (
+from semviz.workspace.drive_check_file import (
     CHECKS,
     DriveCheck,
     DriveChecks,

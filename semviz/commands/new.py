@@ -235,7 +235,7 @@ class NewCommand:
             print_warning,
             write_refined,
         )
-        from semviz.workspace.drive_checks import CHECKS, DriveChecks, StepErrors, save_checks
+        from semviz.workspace.drive_check_file import CHECKS, DriveChecks, StepErrors, save_checks
         from semviz.workspace.workspace import Workspace
         from semviz_core.datasets.own_drive.recorded_drive import read_drive
         from semviz_core.datasets.validation import unusual_motion
@@ -284,8 +284,13 @@ class NewCommand:
 
     def _again_with(self, option: str) -> str:
         """Return this command with another option, for another folder: this one will exist."""
-        again = replace(self, folder=self.folder.with_name(f"{self.folder.name}-2"))
-        return f"semviz new {parsing.command_text(again)} {option}"
+        name, _, value = option.removeprefix("--").partition(" ")
+        again = replace(
+            self,
+            folder=self.folder.with_name(f"{self.folder.name}-2"),
+            **{name.replace("-", "_"): value or True},  # type: ignore[arg-type]
+        )
+        return f"semviz new {parsing.command_text(again)}"
 
     def _files(
         self, images: Path, extracted: Path, show: "Callable[[str, int, int], None]"

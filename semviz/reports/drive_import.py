@@ -14,14 +14,8 @@ from typing import TextIO
 import numpy as np
 
 from semviz.presentation.terminal import track
-from semviz.workspace.drive_checks import (
-    CHECKS,
-    DriveCheck,
-    DriveFindings,
-    check_drive_files,
-    read_checks,
-    right_turn_rad,
-)
+from semviz.workspace.drive_check_file import CHECKS, DriveCheck, read_checks
+from semviz.workspace.drive_checks import DriveFindings, check_drive_files, right_turn_rad
 from semviz.workspace.drive_file import LEFT_OUT, DriveFile, ImageFolders, calibration_toml
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.frame import Side
@@ -29,7 +23,7 @@ from semviz_core.base.pose import angle_between
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.datasets.own_drive import match_checks
-from semviz_core.datasets.own_drive.image_files import ImageFolder
+from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
 
 ROW_PICTURE = Path("checks", "rows.png")
@@ -158,7 +152,12 @@ def write_row_picture(workspace: Workspace) -> None:
 
     source = workspace.source
     index = source.frames[len(source.frames) // 2].index
-    picture = match_checks.draw_rows(source.image(index, "left"), source.image(index, "right"))
+    try:
+        left, right = source.image(index, "left"), source.image(index, "right")
+    except SemvizError as error:
+        print_warning(f"no picture of rows: {error}")
+        return
+    picture = match_checks.draw_rows(left, right)
     path = workspace.path / ROW_PICTURE
     path.parent.mkdir(exist_ok=True)
     with replacing(path) as temporary:

@@ -24,7 +24,7 @@ from semviz_core.base.frame import Side
 from semviz_core.base.pose import so3_exp
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.image_files import ImageFolder
+from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.lens import OriginalCamera
 from semviz_core.simulation.street import Street
 
@@ -381,7 +381,7 @@ def test_images_that_are_left_out_are_listed_as_text_for_spreadsheets(
         "--right", tmp_path / "right", "--calibration", tmp_path / "cam.toml",
     )  # fmt: skip
     assert code == 0, err
-    assert "warning: 2 images have none on the other side: left out" in err
+    assert "warning: 2 images without one on the other side: left out" in err
     path = tmp_path / "town" / "left-out.csv"
     assert f"  left out     {path} which images, and why\n" in out
     reason = "no match by name in the other camera"

@@ -13,16 +13,20 @@ import numpy as np
 import pytest
 from command_line import call
 from recorded_streets import LENSES, Recording, kalibr, record
+from scipy.spatial.transform import Rotation
 from streets import street
 
 from semviz.reports import drive_import
-from semviz.workspace.drive_checks import CHECKS, motion_checks, read_checks
+from semviz.workspace.drive_check_file import CHECKS, read_checks
+from semviz.workspace.motion_checks import motion_checks
 from semviz.workspace.workspace import Workspace
+from semviz_core.base.camera import Rig
 from semviz_core.base.frame import Frame
 from semviz_core.base.pose import Pose, so3_exp, so3_log
 from semviz_core.common.arrays import ByteImage
 from semviz_core.datasets.kitti import KittiSequence
 from semviz_core.datasets.own_drive.calibration_files import read_calibration
+from semviz_core.datasets.own_drive.conventions import NAMED_EXTRINSICS
 from semviz_core.datasets.own_drive.match_checks import draw_rows
 from semviz_core.pose_checks.comparison import DrivePoses
 from semviz_core.pose_checks.faults import PoseCheck, check_drive
@@ -74,7 +78,7 @@ def test_rows_that_disagree_are_measured_and_warned_about(
     found = re.match(r"warning: rows of both images are (\d\.\d) px apart", err)
     assert found is not None
     assert float(found[1]) == pytest.approx(2.1, abs=0.3)
-    remedy = re.search(r"remedy: semviz (new .*-2 .*--strict --refine-extrinsics)\n", err)
+    remedy = re.search(r"remedy: semviz (new .*-2 .*--refine-extrinsics --strict)\n", err)
     assert remedy is not None
     code, _, err = call(capsys, *shlex.split(remedy[1]))
     assert (code, err) == (0, "")
@@ -159,9 +163,10 @@ def short(tmp_path_factory: pytest.TempPathFactory, source: Street) -> Recording
     ("options", "remedy"),
     [
         ((), None),
-        (("--direction", "world-to-camera"), "another --direction fits"),
-        (("--camera-axes", "opengl"), "another --camera-axes fits"),
-        (("--extrinsic", "flu"), "no --extrinsic flu fits"),
+        (("--direction", "world-to-camera"), "--direction camera-to-world"),
+        (("--camera-axes", "opengl"), "--camera-axes opencv"),
+        (("--quaternion", "wxyz"), "--quaternion xyzw"),
+        (("--extrinsic", "flu"), "--extrinsic camera"),
     ],
 )
 def test_poses_are_compared_with_the_images(
@@ -184,7 +189,28 @@ def test_poses_are_compared_with_the_images(
     else:
         assert code == 2
         assert int(share[2]) < 50
-        assert f"matches between images agree with the poses: {remedy}\n" in err
+        assert f"matches between images agree with the poses: {remedy} fits; remedy: " in err
+        assert f" {remedy}" in err.partition("remedy: semviz new ")[2]
+
+
+def test_an_inverted_extrinsic_is_named(
+    short: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of poses of a camera 1.5 m ahead of its body, and turned in it."""
+    T_body_camera = NAMED_EXTRINSICS["flu"] @ Pose(so3_exp(np.array([0.0, 0.7, 0.2])), [0, 0, 1.5])
+    rows = np.loadtxt(short.poses)
+    for row in rows:
+        pose = Pose(Rotation.from_quat(row[4:]).as_matrix(), row[1:4]) @ T_body_camera.inverse()
+        row[1:] = [*pose.translation, *pose.as_quaternion()]
+    np.savetxt(tmp_path / "poses.txt", rows, "%.9f")
+    np.savetxt(tmp_path / "extrinsic.txt", T_body_camera.inverse().as_matrix())
+    code, _, err = call(
+        capsys, "new", tmp_path / "town", "--images", short.left, "--right", short.right,
+        "--calibration", short.kalibr, "--poses", tmp_path / "poses.txt", "--strict",
+        "--extrinsic", tmp_path / "extrinsic.txt",
+    )  # fmt: skip
+    assert code == 2
+    assert "agree with the poses: the inverse of the pose in --extrinsic fits\n" in err
 
 
 def test_transposed_rotations_are_named(
@@ -205,6 +231,11 @@ def measured(kitti_root: Path) -> PoseCheck:
     """Twenty real stereo frames, with the motions of their images."""
     source = KittiSequence(kitti_root, "02", (2, 3), range(20))
     return check_drive(source.frames, measure_motions(source, source.frames), source.rig)
+
+
+@pytest.fixture(scope="module")
+def rig(kitti_root: Path) -> Rig:
+    return KittiSequence(kitti_root, "02", (2, 3), range(1)).rig
 
 
 def moved(check: PoseCheck, change: Callable[[Pose], Pose]) -> tuple[Frame, ...]:
@@ -240,13 +271,12 @@ def late(check: PoseCheck, frames: float) -> tuple[Frame, ...]:
 )
 def test_motions_of_real_images_tell_scale_time_and_a_turned_camera(
     measured: PoseCheck,
-    kitti_root: Path,
+    rig: Rig,
     planted: Callable[..., tuple[Frame, ...]],
     kind: str,
     value: str,
 ) -> None:
     """KITTI's right camera is known to be turned by 0.03 deg against its calibration."""
-    rig = KittiSequence(kitti_root, "02", (2, 3), range(1)).rig
     found = check_drive(planted(measured), measured.motions, rig)
     checks = {str(check.kind): check for check in motion_checks(found, rig, "")}
     wrong = {name for name, check in checks.items() if check.passed is False}
@@ -255,6 +285,26 @@ def test_motions_of_real_images_tell_scale_time_and_a_turned_camera(
     if kind:
         assert checks[kind].warning
         assert re.match(value, checks[kind].value)
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize(("unit", "option"), [(100.0, "--scale 0.01"), (0.3048, "--scale 3.4")])
+def test_poses_in_another_unit_are_told_their_scale(
+    measured: PoseCheck, rig: Rig, unit: float, option: str
+) -> None:
+    frames = moved(measured, lambda T: Pose(T.rotation, unit * T.translation))
+    found = check_drive(frames, measured.motions, rig)
+    (check,) = motion_checks(found, rig, "")
+    assert (check.kind, check.passed) == ("scale", False)
+    assert check.option.startswith(option)
+
+
+@pytest.mark.realdata
+def test_poses_that_stand_still_are_told_nothing_else(measured: PoseCheck, rig: Rig) -> None:
+    frames = moved(measured, lambda _: Pose.identity())
+    (check,) = motion_checks(check_drive(frames, measured.motions, rig), rig, "")
+    assert (check.kind, check.passed) == ("steps", False)
+    assert "stands still while the images move" in check.warning
 
 
 def test_a_stopped_import_goes_on_by_the_same_command(

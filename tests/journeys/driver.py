@@ -87,6 +87,10 @@ class LabelDriver:
             self.page.wait_for_selector(f'.tile.current[data-frame="{frame}"]', timeout=WAIT_MS)
         self._wait_for_images(frame)
 
+    def is_listed(self, name: str) -> bool:
+        """Whether an element is labelled or expected in this frame."""
+        return self.page.locator(f'#elements .row:has(.fill:text-is("{name}"))').count() > 0
+
     def select(self, name: str) -> None:
         """Selects an element that is labelled or expected in this frame, by its name."""
         self.page.click(f'#elements .row:has(.fill:text-is("{name}"))')

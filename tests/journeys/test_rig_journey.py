@@ -23,7 +23,7 @@ from semviz.web.protocol import RefusedError
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import new_id
 from semviz_core.base.pose import Pose
-from semviz_core.datasets.own_drive.image_files import ImageFolder
+from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles, poses_at_times
 from semviz_core.datasets.rig_cameras import frames_by_camera

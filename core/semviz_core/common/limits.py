@@ -191,6 +191,8 @@ MOST_TENSOR_BYTES = 4 * 2**30
 """Of a file of weights, or of a backdrop."""
 _MOST_KEY_PARTS, _TOML_KEY_END = 20, re.compile(r"[,={}\[\]\n]")
 _JPEG_START, _PNG_START = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
+_PNG_DEPTH = 24
+"""Where a PNG says its bits a channel."""
 _JPEG_SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 """Markers of segments that hold a JPEG's size (ITU-T T.81, table B.1)."""
 _JPEG_BARE = {0x01, *range(0xD0, 0xD9)}
@@ -372,6 +374,26 @@ def decode_image(data: bytes, where: object, reduced: bool = False) -> ByteImage
 
     flags = cv2.IMREAD_REDUCED_COLOR_2 if reduced else cv2.IMREAD_COLOR
     return np.asarray(_decoded(data, where, flags), np.uint8)
+
+
+def is_turned(data: bytes, where: object) -> bool:
+    """Whether an image's EXIF orientation turns or mirrors it when it is decoded."""
+    import cv2
+
+    shown, stored = (
+        _decoded(data, where, cv2.IMREAD_COLOR | flag)
+        for flag in (0, cv2.IMREAD_IGNORE_ORIENTATION)
+    )
+    return not np.array_equal(shown, stored)
+
+
+def brightest_of_16_bits(data: bytes, where: object) -> int | None:
+    """Return the largest value of an image with 16 bits a channel; None if it has 8."""
+    import cv2
+
+    if not data.startswith(_PNG_START) or data[_PNG_DEPTH] != 16:
+        return None
+    return int(_decoded(data, where, cv2.IMREAD_UNCHANGED).max())
 
 
 def read_image(path: Path) -> ByteImage:

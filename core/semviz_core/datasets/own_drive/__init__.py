@@ -5,5 +5,5 @@ their times; `calibration_files` reads cameras (`lens`, `yaml_files`) and `pose_
 `colmap_model` holds both. `conventions` applies what poses mean: direction, axes, body, the upward
 axis of their world. `recorded_cameras` and `recorded_drive` put it together. `rectification` makes
 images of a pinhole camera, which `image_folder` serves as a ``Dataset``; `match_checks` measures on
-matches whether rows and poses agree.
+matches whether rows agree, `pose_remedies` whether poses do, and what they would agree with.
 """

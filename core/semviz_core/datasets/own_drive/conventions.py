@@ -7,7 +7,7 @@ ellipsoid become metres: earth-centred, or local east, north and up.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
@@ -58,6 +58,8 @@ class RecordedPoses:
     quaternion: QuaternionOrder | None = None
     note: str = ""
     """What else was taken for granted, for people."""
+    doubt: str = ""
+    """What contradicts that in the file itself, for people."""
 
     @property
     def order(self) -> str:
@@ -117,16 +119,39 @@ _DEGREES = 0.2
 _MOST_LISTED_DEG = 180.0
 
 
+@dataclass(frozen=True, eq=False)
+class PoseConventions:
+    """What recorded poses are taken as."""
+
+    direction: Direction
+    axes: CameraAxes
+    quaternion: QuaternionOrder | None = None
+    """None: the poses are matrices."""
+    T_body_camera: Pose = field(default_factory=Pose.identity)
+    """Identity if they are those of the camera."""
+
+    def camera_pose(self, recorded: Pose) -> Pose:
+        """Return ``T_world_camera``, with OpenCV's axes, of a pose as recorded."""
+        T = recorded.inverse() if self.direction == "world-to-camera" else recorded
+        return (T @ FLIPPED if self.axes == "opengl" else T) @ self.T_body_camera
+
+    def of_camera(self, T_first_camera: Pose) -> "PoseConventions":
+        """Return those of another camera of a rig."""
+        return replace(self, T_body_camera=self.T_body_camera @ T_first_camera)
+
+    def recorded_pose(self, T_world_camera: Pose) -> Pose:
+        """Return the pose as recorded; the inverse of ``camera_pose``."""
+        T = T_world_camera @ self.T_body_camera.inverse()
+        T = T @ FLIPPED if self.axes == "opengl" else T
+        return T.inverse() if self.direction == "world-to-camera" else T
+
+
 def camera_poses(
     poses: RecordedPoses, direction: Direction | None, axes: CameraAxes | None
 ) -> list[Pose]:
     """Return world_from_camera or world_from_body, with OpenCV's camera axes."""
-    T = [Pose(matrix[:, :3], matrix[:, 3]) for matrix in poses.matrices]
-    if (direction or poses.direction) == "world-to-camera":
-        T = [pose.inverse() for pose in T]
-    if (axes or poses.axes) == "opengl":
-        T = [pose @ FLIPPED for pose in T]
-    return T
+    taken = PoseConventions(direction or poses.direction, axes or poses.axes)
+    return [taken.camera_pose(Pose(matrix[:, :3], matrix[:, 3])) for matrix in poses.matrices]
 
 
 def read_extrinsic(name: str, calibration: CalibrationFile) -> tuple[Pose, str]:

@@ -1,31 +1,25 @@
-"""List the images of a drive and their times, in pairs for stereo, and read them as a dataset.
+"""List the images of a drive and their times, in pairs for stereo."""
 
-A dataset is a folder of images, two for stereo, or the folders of a rig's cameras. Its images are
-rectified as they are asked for.
-"""
-
-import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Literal, TypeAlias
 
 import numpy as np
 
-from semviz_core.base.camera import Rig
-from semviz_core.base.frame import Frame, Side
-from semviz_core.base.pose import Pose
-from semviz_core.base.semantic_map import MapFrame
+from semviz_core.base.frame import Side
 from semviz_core.common import limits
-from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.common.files import replacing
-from semviz_core.datasets.own_drive.rectification import Rectification, RectifiedRig
 from semviz_core.datasets.trajectory import MOST_LINES, read_text
 
 _VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".hevc", ".m4v", ".webm")
+_EXIF_BYTES = 2**12
+_DARK = 2**14
+"""Images of 16 bits that are never brighter: of 12 bits or less."""
+_OTHERS = (".tif", ".tiff", ".webp", ".bmp", ".pgm", ".ppm", ".jp2", ".heic", ".exr")
 _MOST_LOOKED_AT = 2000
 SUFFIXES = (".png", ".jpg", ".jpeg")
 TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns"]
@@ -35,8 +29,13 @@ _UNUSUAL = re.compile(r"[\\\x00-\x1f\x7f\ud800-\udfff]")
 _LARGEST = 1e25
 MOST_PAIR_S = 0.002
 """Between the images of a stereo pair; a car at 20 m/s moves 4 cm."""
-_TIME_DIGITS = 10
-"""A name of so many digits is a time since 1970: seconds, or a smaller unit."""
+_NAMED_TIME = re.compile(r"(|.*[^\d.])([1-9]\d{9,}(?:\.\d+)?)")
+"""A number of ten digits or more, as ``1403715273262142976`` or ``left_1403715273.262143``, is a
+time since 1970; one that begins with 0 counts images."""
+_SINCE_S, _UNTIL_S = 0.3e9, 4.2e9
+"""1979 to 2103."""
+_SPLIT_TIME = re.compile(r"(|.*[^\d.])([1-9]\d{9})[-_](\d{9})")
+"""Seconds and nanoseconds."""
 
 
 @dataclass(frozen=True)
@@ -197,6 +196,8 @@ def _names(path: Path) -> list[str]:
     if not found:
         below = _images_below(folder)
         there = "" if below is None else f"; there are some in {below}: name that one"
+        if other := next((o for f in folder.iterdir() if (o := f.suffix.lower()) in _OTHERS), ""):
+            there = f"; convert its {other} files: mogrify -format png *{other}"
         raise SemvizError(f"{path}: a folder without images; expected .png or .jpg{there}")
     wrong = next((name for name in found if _UNUSUAL.search(name)), None)
     if wrong is not None:
@@ -233,6 +234,25 @@ def size_of_images(folder: Path, names: Sequence[str]) -> tuple[int, int]:
     return sizes[0]
 
 
+def refuse_turned_or_dark(path: Path) -> None:
+    """Raise SemvizError if an image is stored turned, or black when its upper 8 bits are shown.
+
+    A calibration may be for turned pixels or not. Usual images are not decoded.
+    """
+    data = limits.read_limited(path, limits.MOST_IMAGE_BYTES)
+    if b"Exif" in data[:_EXIF_BYTES] and limits.is_turned(data, path):
+        raise SemvizError(
+            f"{path}: is stored turned, with an EXIF orientation; turn the pixels of all images "
+            "for good and calibrate these: mogrify -auto-orient *.jpg"
+        )
+    brightest = limits.brightest_of_16_bits(data, path)
+    if brightest is not None and brightest < _DARK:
+        raise SemvizError(
+            f"{path}: an image of 16 bits whose brightest value is {brightest} of 65535; write all "
+            "with 8 bits, from dark to bright: mogrify -normalize -depth 8 *.png"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class ImageTimes:
     """When images were taken, and how that is known."""
@@ -245,12 +265,21 @@ class ImageTimes:
 
 
 def times_from_names(names: Sequence[str], unit: TimeUnit | None) -> ImageTimes | None:
-    """Return the times that names such as ``1403715273262142976.png`` are; None if they are not."""
+    """Return the times in names such as ``1403715273262142976.png``; None if they are no times.
+
+    All may begin with the same text: ``left_1403715273.262143.png``.
+    """
     stems = [Path(name).stem for name in names]
-    if not all(re.fullmatch(rf"\d{{{_TIME_DIGITS},}}(\.\d+)?", stem) for stem in stems):
+    split = [_SPLIT_TIME.fullmatch(stem) for stem in stems]
+    found = [_NAMED_TIME.fullmatch(stem) for stem in stems] if None in split else split
+    words = [".".join(one.groups()[1:]) for one in found if one is not None]
+    heads = {one[1] for one in found if one is not None}
+    if len(words) < len(names) or len(heads) > 1:
         return None
-    time_s, unit = in_seconds(stems, unit)
-    return ImageTimes(time_s, "names of the images", unit)
+    time_s, found_unit = in_seconds(words, unit)
+    if unit is None and (time_s.min() < _SINCE_S or time_s.max() > _UNTIL_S):
+        return None  # a date without separators
+    return ImageTimes(time_s, "names of the images", found_unit)
 
 
 def read_times(path: Path, names: Sequence[str], unit: TimeUnit | None) -> ImageTimes:
@@ -261,7 +290,7 @@ def read_times(path: Path, names: Sequence[str], unit: TimeUnit | None) -> Image
     has none.
     """
     lines = [
-        re.split(r"[\s,;]+", line.strip())
+        _fields(line)
         for line in read_text(path).splitlines()
         if line.strip() and not line.lstrip().startswith("#")
     ]
@@ -269,8 +298,8 @@ def read_times(path: Path, names: Sequence[str], unit: TimeUnit | None) -> Image
         lines = lines[1:]  # the names of columns
     by_name = {}
     for row in lines:
-        texts = [word for word in row[:2] if Path(word).suffix.lower() in SUFFIXES]
-        numbers = [word for word in row[:2] if is_number(word)]
+        texts = [word for word in row if Path(word).suffix.lower() in SUFFIXES]
+        numbers = [word for word in row if is_number(word)]
         if texts and numbers:
             by_name[Path(texts[0]).name] = numbers[0]
     if by_name:
@@ -292,6 +321,17 @@ def read_times(path: Path, names: Sequence[str], unit: TimeUnit | None) -> Image
     if (np.diff(time_s) < 0.0).any() and not by_name:
         raise SemvizError(f"{path}: times go backwards; put the images' names beside them")
     return ImageTimes(time_s, path.name, unit)
+
+
+def _fields(line: str) -> list[str]:
+    """Return the first two fields of a line; a name of an image may hold spaces and commas."""
+    words = re.split(r"[\s,;]+", line.strip())
+    if Path(words[-1].strip('"')).suffix.lower() in SUFFIXES and is_number(words[0]):
+        return [words[0], line.strip().partition(words[0])[2].strip(' \t,;"')]
+    named = re.fullmatch(r"(.+\.\w+)[\s,;\"]+(\S+)", line.strip())
+    if named is not None and Path(named[1]).suffix.lower() in SUFFIXES and is_number(named[2]):
+        return [named[1].lstrip('"'), named[2]]
+    return words[:2]
 
 
 def is_number(word: str) -> bool:
@@ -317,132 +357,3 @@ def in_seconds(
         first = float(np.abs(values).max()) if len(values) else 0.0
         unit = "s" if first < 1e11 else "ms" if first < 1e14 else "us" if first < 1e17 else "ns"
     return values * _SECONDS[unit], unit
-
-
-_PNG_LEVEL = 1
-"""Larger levels take several times as long, for a tenth less space."""
-
-
-@dataclass(frozen=True, eq=False)
-class ImageFolder:
-    """A ``Dataset`` of recorded images.
-
-    A rectified image is made when it is first asked for, and kept in ``cache`` as PNG, so that
-    labels and measurements of all times see the same pixels. Its file has the recorded image's time
-    of change, and is made again if that changes. Images that need no rectification are read as they
-    are.
-    """
-
-    map_frame: MapFrame
-    frames: tuple[Frame, ...]
-    """Poses are those of the rectified left camera."""
-    left: Mapping[int, Path]
-    """Recorded images by the index of their frame."""
-    right: Mapping[int, Path]
-    """Empty with one camera."""
-    rectified: RectifiedRig
-    cache: Path
-    """Folder of rectified images, made when needed."""
-    camera_of: Mapping[int, str] = field(default_factory=dict)
-    """Of a rig: the name of each frame's camera. Empty for one camera or a stereo pair."""
-    mounts: Mapping[str, Pose] = field(default_factory=dict)
-    """Of a rig: ``T_first_camera`` by name, of those that are known."""
-    rectified_cameras: Mapping[str, RectifiedRig] = field(default_factory=dict)
-    """Of a rig, by name; all have the same camera."""
-
-    @property
-    def rig(self) -> Rig:
-        return self.rectified.rig
-
-    def with_frames(self, frames: tuple[Frame, ...]) -> "ImageFolder":
-        """Return the same images with other poses; ``frames`` have the same numbers."""
-        return replace(self, frames=frames)
-
-    def image(self, index: int, side: Side) -> ByteImage:
-        """Return (height, width, 3) sRGB of the rectified image of frame ``index``.
-
-        Raise SemvizError if the recorded image is missing, unreadable or of another size.
-        """
-        path = self.image_path(index, side)
-        camera = self.rectification(index, side).camera
-        return _read_image(path, camera.width, camera.height)
-
-    def image_path(self, index: int, side: Side) -> Path:
-        """Return the path of a rectified image, which is made if it is missing."""
-        original = self.original_path(index, side)
-        rectification = self.rectification(index, side)
-        if rectification.is_identity:
-            return original
-        path = self._rectified_path(index, side)
-        changed_ns = original.stat().st_mtime_ns
-        if not self.is_rectified(index, side):
-            self._check_replaceable(path)
-            recorded = rectification.original
-            image = _read_image(original, recorded.width, recorded.height)
-            _write_png(path, rectification.rectify(image), changed_ns)
-        return path
-
-    def is_rectified(self, index: int, side: Side) -> bool:
-        """Whether a rectified image is made, or none is needed."""
-        if self.rectification(index, side).is_identity:
-            return True
-        path, original = self._rectified_path(index, side), self.original_path(index, side)
-        return path.is_file() and path.stat().st_mtime_ns == original.stat().st_mtime_ns
-
-    def _rectified_path(self, index: int, side: Side) -> Path:
-        return self.cache / side / f"{index:06d}.png"
-
-    def _check_replaceable(self, path: Path) -> None:
-        """Raise SemvizError if a link leads from the cache to somebody's image of the same name."""
-        within = self.cache.parent.resolve() / self.cache.name / path.parent.name
-        if path.exists() and path.parent.resolve() != within:
-            raise SemvizError(
-                f"{path}: not replaced, because a link leads there from {self.cache.parent}; "
-                "delete that image, or the link"
-            )
-
-    def original_path(self, index: int, side: Side) -> Path:
-        """Return the path of a recorded image. Raise SemvizError for a frame or side not there."""
-        paths = self.left if side == "left" else self.right
-        if not paths:
-            raise SemvizError(f"{self.map_frame.name}: one camera; there is no right image")
-        path = paths.get(index)
-        if path is None:
-            first, last = self.frames[0].index, self.frames[-1].index
-            raise SemvizError(
-                f"{self.map_frame.name}: no frame {index} among frames {first} to {last}"
-            )
-        if not path.is_file():
-            raise SemvizError(f"{path}: no such image; copy it there again")
-        return path
-
-    def rectification(self, index: int, side: Side) -> Rectification:
-        """Return how an image is rectified. Raise SemvizError for a side not there."""
-        camera = self.camera_of.get(index)
-        rectified = self.rectified if camera is None else self.rectified_cameras[camera]
-        return rectified.of(side)
-
-    def to_original(self, pixels_px: FloatArray, index: int, side: Side) -> FloatArray:
-        """Return pixels (n, 2) of the recorded image at pixels (n, 2) of the rectified one."""
-        return self.rectification(index, side).to_original(pixels_px)
-
-
-def _read_image(path: Path, width: int, height: int) -> ByteImage:
-    image = limits.read_image(path)
-    if image.shape[:2] != (height, width):
-        raise SemvizError(
-            f"{path}: image is {image.shape[1]}x{image.shape[0]}, but its camera's are "
-            f"{width}x{height}; all must be of one size"
-        )
-    return np.ascontiguousarray(image, dtype=np.uint8)
-
-
-def _write_png(path: Path, image: ByteImage, changed_ns: int) -> None:
-    import cv2
-
-    done, data = cv2.imencode(".png", image[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL])
-    if not done:
-        raise SemvizError(f"{path}: the rectified image cannot be written as PNG")
-    with replacing(path) as temporary:
-        temporary.write_bytes(data.tobytes())
-        os.utime(temporary, ns=(changed_ns, changed_ns))

@@ -1,27 +1,21 @@
-"""Check calibration and poses of a drive by matches between its images, or refine the calibration.
+"""Match images of a drive; check the calibration by matches, or refine it.
 
-Rows of a rectified pair must agree. By the poses, matches of successive images must lie on epipolar
-lines and ahead of the camera. Both are needed: along a straight road, the epipolar lines of
-inverted poses are the same, but the matches then lie behind the camera.
+Rows of a rectified pair must agree; ``pose_remedies`` compares matches with the poses.
 
 Epipolar lines of a stereo pair tell the rotation between the cameras and the direction of the
 baseline, not its length. They tell the turn about the vertical axis least, to which depth is most
 sensitive; its uncertainty is returned.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
 from semviz_core.base.camera import Camera, Rig
 from semviz_core.base.frame import Dataset
 from semviz_core.base.pose import Pose, skew, so3_exp
-from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray
+from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.conventions import FLIPPED, NAMED_EXTRINSICS
 from semviz_core.datasets.own_drive.lens import OriginalRig
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
 from semviz_core.datasets.own_drive.rectification import rectify_rig
@@ -154,22 +148,6 @@ _REACH_PX = 20.0
 _LINE_EVERY_PX, _MAGNIFIED = 40, 10.0
 _LINE_RGB, _ON_RGB, _OFF_RGB = (255, 255, 255), (40, 90, 230), (220, 40, 30)
 
-LEAST_POSE_MATCHES = 60
-LEAST_SHARE = 0.5
-"""Poses: of the matches that agree with them; poses of a car's camera reach 0.8 and more."""
-_APART_M = (0.2, 6.0)
-_NEAR_LINE_PX = 2.0
-_REMEDIES: dict[str, Callable[[Pose], Pose]] = {
-    "another --direction": Pose.inverse,
-    "another --camera-axes": lambda T: T @ FLIPPED,
-    "--extrinsic flu": lambda T: T @ NAMED_EXTRINSICS["flu"],
-    "--extrinsic frd": lambda T: T @ NAMED_EXTRINSICS["frd"],
-    "no --extrinsic flu": lambda T: T @ NAMED_EXTRINSICS["flu"].inverse(),
-    "no --extrinsic frd": lambda T: T @ NAMED_EXTRINSICS["frd"].inverse(),
-    "a transpose of the rotations": lambda T: Pose(T.rotation.T, T.translation),
-}
-"""By the option, or another change of the file, how recorded poses would change with it."""
-
 
 def matched_pixels(first: ByteImage, second: ByteImage) -> FloatArray:
     """Return (n, 2, 2): the pixel of each match in both images. Some matches are wrong."""
@@ -263,94 +241,6 @@ def draw_rows(left: ByteImage, right: ByteImage) -> ByteImage:
     return np.asarray(picture, dtype=np.uint8)
 
 
-@dataclass(frozen=True)
-class ConventionCheck:
-    """How many matches between images agree with the poses."""
-
-    matches: int
-    share: float
-    """Of the matches: within 2 px of their epipolar line, and ahead of both images."""
-    remedy: str = ""
-    """The option with which most matches would agree; empty if there is none."""
-
-    @property
-    def is_known(self) -> bool:
-        """Whether there are enough matches between images apart to tell."""
-        return self.matches >= LEAST_POSE_MATCHES
-
-    @property
-    def agrees(self) -> bool:
-        return not self.is_known or self.share >= LEAST_SHARE
-
-
-def check_poses(dataset: Dataset, T_map_world: Pose, T_left_rectified: Pose) -> ConventionCheck:
-    """Match a few pairs of successive left images, and compare them with their poses.
-
-    ``T_map_world`` and ``T_left_rectified`` are what was applied to the recorded poses.
-    """
-    matched = _matched(dataset)
-    count = sum(len(motion.pixels) for motion in matched)
-    if count < LEAST_POSE_MATCHES:
-        return ConventionCheck(count, 0.0)
-    camera = dataset.rig.left
-    share = _agreeing(camera, matched) / count
-    if share >= LEAST_SHARE:
-        return ConventionCheck(count, share)
-    world, turn = T_map_world.inverse(), T_left_rectified.inverse()
-    shares = {}
-    for remedy, change in _REMEDIES.items():
-
-        def changed(T: Pose, change: Callable[[Pose], Pose] = change) -> Pose:
-            return change(world @ T @ turn) @ T_left_rectified
-
-        motions = [_Motion(m.pixels, changed(m.before), changed(m.now)) for m in matched]
-        shares[remedy] = _agreeing(camera, motions) / count
-    best = max(shares, key=lambda name: shares[name])
-    fits = shares[best] >= max(LEAST_SHARE, 1.5 * share)
-    return ConventionCheck(count, share, best if fits else "")
-
-
-class _Motion(NamedTuple):
-    """Matches (n, 2, 2) between two images, and the poses of these."""
-
-    pixels: FloatArray
-    before: Pose
-    now: Pose
-
-
-def _matched(dataset: Dataset) -> list[_Motion]:
-    """Return the matches of up to ``PAIRS`` pairs of successive images with poses."""
-    pairs = [
-        (first.index, second.index, first.T_map_camera, second.T_map_camera)
-        for first, second in pairwise(dataset.frames)
-        if first.T_map_camera is not None
-        and second.T_map_camera is not None
-        and _APART_M[0] <= _distance_m(first.T_map_camera, second.T_map_camera) <= _APART_M[1]
-    ]
-    rows = np.unique(np.linspace(0, len(pairs) - 1, PAIRS).round().astype(int)).tolist()
-    matched = []
-    for row in rows if pairs else ():
-        before, now, T_before, T_now = pairs[row]
-        try:
-            images = dataset.image(before, "left"), dataset.image(now, "left")
-        except SemvizError:  # raised again when this image is shown
-            continue
-        matched.append(_Motion(matched_pixels(*images), T_before, T_now))
-    return matched
-
-
-def _distance_m(first: Pose, second: Pose) -> float:
-    return float(np.linalg.norm(first.translation - second.translation))
-
-
-def _agreeing(camera: Camera, matched: Sequence[_Motion]) -> int:
-    """Return the number of all matches that agree with the poses."""
-    return sum(
-        int(_agrees(camera, motion.pixels, motion.now.inverse() @ motion.before).sum())
-        for motion in matched
-    )
-
-
 def off_epipolar_lines(camera: Camera, pixels: FloatArray, T_now_before: Pose) -> FloatArray:
     """Return the signed distance (n,) px of matches (n, 2, 2), before and now, from the epipolar
     lines of the motion in the image of now."""
@@ -364,13 +254,6 @@ def _rays_of(camera: Camera, pixels: FloatArray) -> list[FloatArray]:
     """Return the rays (n, 3) at depth 1 of matches (n, 2, 2), before and now."""
     one = np.ones(len(pixels))
     return [np.column_stack([camera.normalize(pixels[:, side]), one]) for side in (0, 1)]
-
-
-def _agrees(camera: Camera, pixels: FloatArray, T_now_before: Pose) -> BoolArray:
-    """Return (n,) whether matches (n, 2, 2), before and now, agree with the motion."""
-    apart = np.abs(off_epipolar_lines(camera, pixels, T_now_before))
-    before, now = depths_by_motion(camera, pixels, T_now_before)
-    return np.asarray((apart < _NEAR_LINE_PX) & (before > 0.0) & (now > 0.0))
 
 
 def depths_by_motion(

@@ -44,6 +44,9 @@ _TIME_UNITS: tuple[TimeUnit, ...] = ("s", "ms", "us", "ns")
 _UNIT = r"_?(deg|rad|m|s|ms|us|ns)?"
 
 
+_LEAST_STEP_M, _LEAST_STEPS = 0.5, 5
+"""Steps of a table that tell the direction of travel, and how many are needed."""
+_OFF_TRAVEL_RAD, _ALONG_TRAVEL_RAD = np.deg2rad(12.0), np.deg2rad(6.0)
 _HEAD = 1000
 """Characters of a file in which columns are named."""
 
@@ -96,6 +99,7 @@ def read_gnss(
     if "name" in known:
         names = tuple(rows[row][known["name"]] for row in order.tolist())
     where = f"{values['latitude'][0]:.7f}, {values['longitude'][0]:.7f}"
+    column, heading = columns[known["heading"]], values["heading"][order]
     return RecordedPoses(
         path,
         "GNSS",
@@ -105,7 +109,42 @@ def read_gnss(
         time_unit=time_unit,
         names=names,
         note=f"heading clockwise from north, {_tilt(known)}, metres east and north of {where}",
+        doubt=_doubt_of_heading(column, heading, matrices[order][:, :2, 3]),
     )
+
+
+def _doubt_of_heading(column: str, heading: FloatArray, east_north_m: FloatArray) -> str:
+    """Say that headings (n,) as written are not those of travel, if they are by another meaning.
+
+    A car drives where it heads, or backwards. Empty if it does, or no meaning fits.
+    """
+    steps_m = np.diff(east_north_m, axis=0)
+    moves = np.hypot(*steps_m.T) > _LEAST_STEP_M
+    if moves.sum() < _LEAST_STEPS:
+        return ""
+    travel = np.arctan2(*steps_m[moves].T)  # clockwise from north
+    written, as_taken = heading[:-1][moves], _radians(column, heading)[:-1][moves]
+    meanings = {
+        "counterclockwise from east; heading is 90 deg less that": np.pi / 2.0 - as_taken,
+        "counterclockwise from north; heading is 360 deg less that": -as_taken,
+        f"in radians; call the column {column}_rad": written,
+        "in radians, counterclockwise from east; heading is pi/2 less that": np.pi / 2.0 - written,
+    }
+    apart = {name: _off_travel(angle, travel) for name, angle in meanings.items()}
+    best = min(apart, key=lambda name: apart[name])
+    off = _off_travel(as_taken, travel)
+    if off < _OFF_TRAVEL_RAD or apart[best] > _ALONG_TRAVEL_RAD:
+        return ""
+    return (
+        f"{column} is {np.rad2deg(off):.0f} deg off the direction of travel; it would fit if "
+        f"{column} were {best}"
+    )
+
+
+def _off_travel(heading_rad: FloatArray, travel_rad: FloatArray) -> float:
+    """Return the median angle (rad) between headings and travel, forward or backward."""
+    off = np.abs(np.angle(np.exp(1j * (heading_rad - travel_rad))))
+    return float(min(np.median(off), np.median(np.pi - off)))
 
 
 def body_axes(yaw_rad: FloatArray, pitch_rad: FloatArray, roll_rad: FloatArray) -> FloatArray:

@@ -23,7 +23,7 @@ from semviz_core.datasets.own_drive.calibration_files import (
 )
 from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
 from semviz_core.datasets.own_drive.conventions import PosedCameras, RecordedPoses
-from semviz_core.datasets.own_drive.image_files import size_of_images
+from semviz_core.datasets.own_drive.image_files import refuse_turned_or_dark, size_of_images
 from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera, OriginalRig
 from semviz_core.datasets.own_drive.recording import DriveFiles, Recording, rows_of_names
 
@@ -109,7 +109,7 @@ def read_cameras(
     """
     calibration = _calibration(files, recording, posed)
     left = calibration.cameras[0]
-    _check_size(calibration.path, recording.images, recording.names.left, left)
+    _check_images(calibration.path, recording.images, recording.names.left, left)
     if recording.right is None:
         return OriginalRig(left), calibration
     if calibration.T_right_left is None:
@@ -118,7 +118,7 @@ def read_cameras(
             "FILE, a TOML file with T_right_left (see docs/own-drive.md), or leave out --right"
         )
     right = calibration.cameras[1]
-    _check_size(calibration.path, recording.right, recording.names.right, right)
+    _check_images(calibration.path, recording.right, recording.names.right, right)
     return OriginalRig(left, right, calibration.T_right_left), calibration
 
 
@@ -205,11 +205,20 @@ def _same(first: OriginalCamera, second: OriginalCamera) -> bool:
     )
 
 
-def _check_size(path: Path, folder: Path, names: Sequence[str], camera: OriginalCamera) -> None:
-    """Raise SemvizError if a calibration is for images of another size."""
+def _check_images(path: Path, folder: Path, names: Sequence[str], camera: OriginalCamera) -> None:
+    """Raise SemvizError if a calibration is for images of another size, or these are unusual."""
     width, height = size_of_images(folder, names)
-    if (width, height) != (camera.width, camera.height):
-        raise SemvizError(
-            f"{folder}: images are {width}x{height}, but {path.name} is the calibration of images "
-            f"of {camera.width}x{camera.height}; use the images' own calibration"
+    refuse_turned_or_dark(folder / names[len(names) // 2])
+    if (width, height) == (camera.width, camera.height):
+        return
+    scale = width / camera.width
+    remedy = "use the images' own calibration"
+    if abs(height - scale * camera.height) <= 1.0:
+        remedy += (
+            f", or, if they were scaled by {scale:.4g}, multiply focal lengths by that and take "
+            f"{scale:.4g} * (c + 0.5) - 0.5 for both numbers c of the centre"
         )
+    raise SemvizError(
+        f"{folder}: images are {width}x{height}, but {path.name} is the calibration of images "
+        f"of {camera.width}x{camera.height}; {remedy}"
+    )

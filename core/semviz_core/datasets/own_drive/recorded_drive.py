@@ -74,6 +74,8 @@ class RecordedDrive:
     warnings: tuple[str, ...]
     axes: conventions.WorldAxes | None
     """None without poses."""
+    taken: conventions.PoseConventions | None
+    """What poses were taken as, with the first camera's place; None without poses."""
     most_view_deg: float
     """As asked for."""
     left_out: tuple[LeftOutImage, ...]
@@ -151,8 +153,22 @@ def read_drive(files: DriveFiles) -> RecordedDrive:
         tuple(statements),
         tuple(statements.warnings),
         axes,
+        _taken(files, first),
         files.most_view_deg,
         tuple(left_out),
+    )
+
+
+def _taken(files: DriveFiles, images: RecordedImages) -> conventions.PoseConventions | None:
+    if images.posed is None:
+        return None
+    recorded = images.posed.poses
+    T_body_camera, _ = body_from_camera(files, recorded, images.calibration)
+    return conventions.PoseConventions(
+        files.direction or recorded.direction,
+        files.axes or recorded.axes,
+        recorded.quaternion,
+        T_body_camera,
     )
 
 
@@ -251,8 +267,28 @@ def _state_matched(reading: Reading, images: RecordedImages, its: _Frames) -> No
     if posed < count:
         reading.warn(
             f"{count - posed} of {count} images have no pose: they can be labelled, and are left "
-            "out of maps"
+            f"out of maps{_why_most(reading, images, its)}"
         )
+
+
+def _why_most(reading: Reading, images: RecordedImages, its: _Frames) -> str:
+    """Say why images have no pose, if most of them are between poses too far apart."""
+    assert images.posed is not None
+    pose_s = images.posed.poses.time_s
+    if pose_s is None or images.posed.poses.names is not None or len(pose_s) < 2:
+        return ""
+    moments = its.times.time_s[[pose is None for pose in its.poses]]
+    after = np.searchsorted(pose_s, moments)
+    between = (after > 0) & (after < len(pose_s))
+    if between.sum() < 0.5 * len(moments):
+        return ""
+    apart_s = float(np.median(np.diff(pose_s)[after[between] - 1]))
+    if apart_s <= reading.files.most_gap_s:
+        return ""
+    return (
+        f". Poses around them are {apart_s:.2f} s apart: --most-gap {1.1 * apart_s:.2g} would "
+        "interpolate between these, as if the car drove straight"
+    )
 
 
 def _in_map(

@@ -103,12 +103,14 @@ def _state_images(reading: Reading, recording: Recording) -> None:
     if names.right:
         text = f"{len(names.left)} pairs, {names.paired}"
     if names.unpaired:
-        count = len(names.unpaired)
-        reading.warn(f"{count} images have none on the other side: left out")
+        reading.warn(f"{_images(len(names.unpaired))} without one on the other side: left out")
     if names.missing:
-        count = len(names.missing)
-        reading.warn(f"{count} images of the recording are missing: left out")
+        reading.warn(f"{_images(len(names.missing))} missing in the recording: left out")
     reading.state("images", text)
+
+
+def _images(count: int) -> str:
+    return f"{count} image{'s' * (count > 1)}"
 
 
 def _read_posed(files: DriveFiles, recording: Recording) -> PosedCameras | None:
@@ -163,17 +165,24 @@ def read_image_times(reading: Reading, images: RecordedImages) -> ImageTimes:
             assert posed is not None
             raise SemvizError(
                 f"{posed.poses.path}: {posed.poses.format} poses have times, the images none; give "
-                "--times FILE with a time for each image (or the pose file, if its lines are those "
-                "of the images)"
+                f"--times FILE with a time for each image{_own_times(posed.poses, len(names.left))}"
             )
         if found is None:
             seconds = np.arange(len(names.left)) / files.rate_hz
             found = ImageTimes(seconds, f"unknown, counted as {files.rate_hz:g} images a second")
         times = found
+    if same := int((np.diff(np.sort(times.time_s)) == 0.0).sum()):
+        reading.warn(f"same time for different images, {same} times: repair {times.source}")
     unit = "" if times.unit is None else f", in {times.unit}"
     span = float(times.time_s[-1] - times.time_s[0])
     reading.state("times", f"{times.source}{unit}, {span:.1f} s")
     return times
+
+
+def _own_times(poses: RecordedPoses, images: int) -> str:
+    if len(poses.matrices) != images:
+        return f" ({len(poses.matrices)} poses, {images} images)"
+    return f"; if its {images} lines are those of the {images} images: --times {poses.path}"
 
 
 def read_world_poses(
@@ -290,6 +299,8 @@ def _state_poses(reading: Reading, recorded: RecordedPoses, of_what: str) -> Non
     order = files.quaternion or recorded.quaternion
     unit = "" if recorded.time_unit is None else f", times in {recorded.time_unit}"
     reading.state("poses", f"{recorded.path.name} {recorded.format}, of {of_what}")
+    if recorded.doubt:
+        reading.warn(f"{recorded.path.name}: {recorded.doubt}")
     reading.state(
         "taken as",
         f"{direction}, {files.axes or recorded.axes} camera axes"

@@ -199,12 +199,13 @@ def chosen_cameras(
 
     ``default`` is taken without a choice; if it is empty, there must be a choice.
     """
+    if not known:
+        raise SemvizError(f"{files.images}: holds no images that can be read; name another")
     chosen = files.cameras or tuple(default)
     unknown = [camera for camera in chosen if camera not in known]
     if unknown or len(chosen) not in (1, 2) or len(set(chosen)) != len(chosen):
         fault = f"no camera {shown(unknown[0], 60)}" if unknown else "choose one camera or two"
         raise SemvizError(
-            f"{files.images}: {fault}; --cameras LEFT[,RIGHT] of "
-            f"{shown(', '.join(known) or 'none that can be read', 600)}"
+            f"{files.images}: {fault}; --cameras LEFT[,RIGHT] of {shown(', '.join(known), 600)}"
         )
     return chosen

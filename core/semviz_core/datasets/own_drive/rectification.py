@@ -22,6 +22,7 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import check_pixels
 from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
 
+_MOST_BASELINE_M = 20.0
 MOST_VIEW_DEG = 110.0
 """A pinhole image of a wider view has few pixels in the middle and many outside."""
 NARROWEST_VIEW_DEG, WIDEST_VIEW_DEG = 10.0, 160.0
@@ -127,6 +128,7 @@ def rectify_rig(original: OriginalRig, most_view_deg: float = MOST_VIEW_DEG) -> 
     if original.right is None or original.T_right_left is None:
         left = _mono(original.left, most_view_deg)
         return RectifiedRig(left, None, Rig(left.camera))
+    _check_baseline(original.T_right_left)
     if _is_rectified(original):
         pair = [_unchanged(camera) for camera in (original.left, original.right)]
         T_right_left = original.T_right_left
@@ -195,12 +197,9 @@ def _is_rectified(original: OriginalRig) -> bool:
     )
 
 
-def _stereo(original: OriginalRig, most_view_deg: float) -> list[Rectification]:
-    """Turn both cameras to a common x axis along the baseline and a mean viewing direction."""
-    assert original.right is not None
-    assert original.T_right_left is not None
-    T_left_right = original.T_right_left.inverse()
-    baseline = T_left_right.translation
+def _check_baseline(T_right_left: Pose) -> None:
+    """Raise SemvizError if cameras do not lie side by side, the right one to the right."""
+    baseline = T_right_left.inverse().translation
     length_m = float(np.linalg.norm(baseline))
     if length_m < 1e-4:
         raise SemvizError(
@@ -211,12 +210,24 @@ def _stereo(original: OriginalRig, most_view_deg: float) -> list[Rectification]:
         swapped = baseline[0] < -0.5 * length_m
         raise SemvizError(
             f"left and right are swapped: baseline is {baseline[0]:.2f} m; exchange --images and "
-            "--right"
+            "--right, or invert the pose of the right camera in the calibration"
             if swapped
             else f"the right camera is {baseline[0]:.2f} m to the right of the left one, and "
             f"{np.hypot(*baseline[1:]):.2f} m elsewhere: no stereo pair; leave out --right"
         )
-    x = baseline / length_m
+    if length_m > _MOST_BASELINE_M:
+        raise SemvizError(
+            f"left and right camera are {length_m:.0f} m apart: is their distance in the "
+            "calibration in millimetres? Metres are needed"
+        )
+
+
+def _stereo(original: OriginalRig, most_view_deg: float) -> list[Rectification]:
+    """Turn both cameras to a common x axis along the baseline and a mean viewing direction."""
+    assert original.right is not None
+    assert original.T_right_left is not None
+    T_left_right = original.T_right_left.inverse()
+    x = T_left_right.translation / np.linalg.norm(T_left_right.translation)
     ahead = np.array([0.0, 0.0, 1.0]) + T_left_right.rotation[:, 2]
     y = np.cross(ahead, x)
     if np.linalg.norm(y) < 0.5:
