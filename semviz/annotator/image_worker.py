@@ -226,7 +226,7 @@ class ImageWorker:
         if matches is None:
             return {}
         element = query.element or matched_element(here.view, query.mark, there.view, matches.best)
-        best = not_sure_if_cut(matches.best, element, there.view)
+        best = not_sure_if_cut(matches.best, element, there.view, (here, query.mark), class_)
         return {query.there: proposals.ImageSearchResult(best, matches.runner_up)}
 
     def _propagate(
@@ -242,10 +242,13 @@ class ImageWorker:
             LabelledView(self._marked_image(image.pane), image.mark) for image in query.beside
         )
         track = Track(beside, query.growth)
-        marks = propagate(views, query.element, self._classes[query.class_id], track=track)
+        class_ = self._classes[query.class_id]
+        marks = propagate(views, query.element, class_, track=track)
         return {
             image.there: proposals.ImageSearchResult(
-                not_sure_if_cut(mark, query.element, view.target.view)
+                not_sure_if_cut(
+                    mark, query.element, view.target.view, (view.source, view.marked), class_
+                )
             )
             for image, mark, view in zip(query.images, marks, views, strict=True)
         }

@@ -223,7 +223,11 @@ def _deletions(rows: Iterable[Row | None]) -> Iterator[RowChange]:
 
 @dataclass(frozen=True)
 class AddObservation:
-    """Add an observation of an existing element or, if ``class_id`` is set, of a new one."""
+    """Add an observation of an existing element or, if ``class_id`` is set, of a new one.
+
+    It takes back what was rejected of the element in this image, and "not here" in the other images
+    of the frame: from this label the element can be proposed there anew.
+    """
 
     observation_id: Id
     element_id: Id
@@ -267,6 +271,13 @@ class AddObservation:
         yield RowChange(None, row)
         proposals = (proposal_id(element.id, self.frame_index, self.side), self.observation_id)
         yield from _deletions(labels.dismissals.get(proposal) for proposal in proposals)
+        yield from _deletions(
+            dismissal
+            for dismissal in labels.dismissed_in(self.frame_index)
+            if dismissal.element_id == element.id
+            and dismissal.side != self.side
+            and dismissal.why == "rejected"  # the mark was; the element is here
+        )
 
 
 @dataclass(frozen=True)
