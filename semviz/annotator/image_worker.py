@@ -3,6 +3,7 @@
 Each image is decoded once and cached for a while; so are the results. Thread-safe.
 """
 
+import logging
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
@@ -178,11 +179,17 @@ class ImageWorker:
         return [query for query in queries if self._results.get(query) is None]
 
     def search(self, query: proposals.ImageQuery) -> None:
-        """Process a query; takes some milliseconds. An unreadable image has no results."""
+        """Process a query; takes some milliseconds. An unreadable image has no results.
+
+        Nor has a query that fails: the page would wait for it, without any other proposal.
+        """
+        results: Mapping[Pane, proposals.ImageSearchResult] = {}
         try:
             results = self._search(query)
         except SemvizError:  # the page shows the error in place of the image
-            results = {}
+            pass
+        except Exception:
+            logging.getLogger(__name__).exception("an image search failed")
         self._results.put(query, results)
 
     def best(self, query: proposals.ImageQuery, pane: Pane) -> ProposedMark | None:

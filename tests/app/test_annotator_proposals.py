@@ -10,7 +10,7 @@ from annotator_page import SIDES, Served, annotating, true_detections
 from journeys.driver import POLE, ROUNDED, TRIANGULAR, LabelDriver, Pixel, Side
 from streets import street_workspace
 
-from semviz.annotator import proposals
+from semviz.annotator import image_worker, proposals
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import new_id
 from semviz_annotation.labels.proposal import Proposal
@@ -256,6 +256,30 @@ def test_the_jump_list_leads_to_where_the_detector_disagrees(
         page.wait_for_selector('.tile.current[data-frame="3"]')
         page.wait_for_function("() => semviz.state.currentProposal?.name === 'new rounded sign'")
         page.goto("about:blank")
+
+
+def test_the_page_does_not_wait_for_a_search_that_failed(
+    driver: LabelDriver,
+    served: Served,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """The element is expected there, without a score."""
+    draw_first(driver, served)
+    wait_for_score(driver, "P-01")
+    driver.press_and_save("Space")
+
+    def failing(*_arguments: object, **_options: object) -> None:
+        raise np.linalg.LinAlgError("singular")
+
+    monkeypatch.setattr(image_worker, "propagate", failing)
+    driver.goto(1)
+    driver.settle()
+    (proposal,) = driver.page.evaluate(
+        "semviz.state.proposals.map(({ name, score }) => [name, score])"
+    )
+    assert proposal == ["P-01", 0]
+    assert "an image search failed" in caplog.text
 
 
 @pytest.mark.parametrize(("key", "why"), [("x", "rejected"), ("n", "absent"), ("o", "occluded")])
