@@ -82,6 +82,7 @@ class LabelSession:
         self._aligner = partial(
             track_edits.LabelAligner, cameras, self._positions, self.image_worker
         )
+        self._aligning: track_edits.LabelAligner | None = None
         self.map_work = MapWork(
             workspace,
             lambda: self._store.labels,
@@ -245,11 +246,32 @@ class LabelSession:
             ):
                 return self._decide_tracks(edit, write)
             case track_edits.AlignLabelsEdit():
-                aligner = self._aligner(self.labels, self._panes.of(edit.frame_index))
-                aligned = aligner.edit(edit.element_id)
+                aligned = self._alignment(edit).edit()
                 return replace(self._saved(write(aligned)), note=aligned.note)
             case _:
                 return self._saved(write(edit))
+
+    def queries_of(self, edit: messages.PageEdit) -> list[ImageQuery]:
+        """Return the queries on whose results an edit depends: processed first by
+        ``image_worker``, they hold nobody up."""
+        if not isinstance(edit, track_edits.AlignLabelsEdit):
+            return []
+        try:
+            return [query for _, query in self._alignment(edit).searches]
+        except SemvizError:  # the edit says why
+            return []
+
+    def _alignment(self, edit: track_edits.AlignLabelsEdit) -> track_edits.LabelAligner:
+        """Return the search for aligned labels; the same one while the labels stay the same."""
+        panes = self._panes.of(edit.frame_index)
+        known = self._aligning
+        if (
+            known is None
+            or known.labels is not self.labels
+            or (known.panes, known.element_id) != (panes, edit.element_id)
+        ):
+            known = self._aligning = self._aligner(self.labels, panes, edit.element_id)
+        return known
 
     def _draw(self, edit: messages.DrawEdit, write: Write) -> SavedEdit:
         """Add an observation, of the element it belongs to or of a new one."""
