@@ -92,8 +92,9 @@ def half_size_m(
 ) -> FloatArray:
     """Return half of a sign's width and height (2,) m, as measured where it is marked."""
     depth_m = float(image.view.depth_m(element.anchor_m[None])[0])
-    half_px = sign_half_size(image, mark.ends_px[0], element_class)
-    return np.maximum(half_px * max(depth_m, 0.0) / image.view.camera.K[0, 0], SIGN_RADIUS_M)
+    half_m = sign_half_size(image, mark.ends_px[0], element_class)
+    half_m = half_m * max(depth_m, 0.0) / image.view.camera.K[0, 0]
+    return np.asarray(np.maximum(half_m, SIGN_RADIUS_M))
 
 
 def visible_share(
