@@ -79,10 +79,7 @@ class LabelSession:
         self.image_worker = ImageWorker(self.images, cameras, self.classes, self._triangle_center)
         self._snap = lru_cache(maxsize=8)(self.image_worker.snap)  # the preview is what gets saved
         self._drafts = draft.DraftEditor(cameras, self._panes, self._positions)
-        self._aligner = partial(
-            track_edits.LabelAligner, cameras, self._positions, self.image_worker
-        )
-        self._aligning: track_edits.LabelAligner | None = None
+        self._aligners = track_edits.Aligners(cameras, self._positions, self.image_worker)
         self.map_work = MapWork(
             workspace,
             lambda: self._store.labels,
@@ -202,8 +199,8 @@ class LabelSession:
 
     def position(self, element_id: str) -> Triangulated | None:
         """Return the position of an element in the map frame; None if it is unknown."""
-        position = self._positions.of_element(self.labels, element_id)
-        return position if isinstance(position, Triangulated) else None
+        found = self._positions.of_element(self.labels, element_id)
+        return found if isinstance(found, Triangulated) else None
 
     # -- editing
 
@@ -214,8 +211,7 @@ class LabelSession:
         base: EditBase | None = None,
         author: str | None = None,
     ) -> SavedEdit:
-        """Apply an edit of ``author``; it is on disk when this returns. ``base``: what the page had
-        shown.
+        """Apply an edit of ``author``; it is on disk on return. ``base``: what the page had shown.
 
         A request that is sent twice is applied once. Raise SemvizError if the edit is invalid,
         ConflictError if it overwrites what the page had not shown, and LabelFileError if it cannot
@@ -246,32 +242,14 @@ class LabelSession:
             ):
                 return self._decide_tracks(edit, write)
             case track_edits.AlignLabelsEdit():
-                aligned = self._alignment(edit).edit()
+                aligned = self._aligners.of(edit, self.labels, self._panes).edit()
                 return replace(self._saved(write(aligned)), note=aligned.note)
             case _:
                 return self._saved(write(edit))
 
     def queries_of(self, edit: messages.PageEdit) -> list[ImageQuery]:
-        """Return the queries on whose results an edit depends: processed first by
-        ``image_worker``, they hold nobody up."""
-        if not isinstance(edit, track_edits.AlignLabelsEdit):
-            return []
-        try:
-            return [query for _, query in self._alignment(edit).searches]
-        except SemvizError:  # the edit says why
-            return []
-
-    def _alignment(self, edit: track_edits.AlignLabelsEdit) -> track_edits.LabelAligner:
-        """Return the search for aligned labels; the same one while the labels stay the same."""
-        panes = self._panes.of(edit.frame_index)
-        known = self._aligning
-        if (
-            known is None
-            or known.labels is not self.labels
-            or (known.panes, known.element_id) != (panes, edit.element_id)
-        ):
-            known = self._aligning = self._aligner(self.labels, panes, edit.element_id)
-        return known
+        """Return the queries that an edit needs: processed before, they hold nobody up."""
+        return self._aligners.queries(edit, self.labels, self._panes)
 
     def _draw(self, edit: messages.DrawEdit, write: Write) -> SavedEdit:
         """Add an observation, of the element it belongs to or of a new one."""

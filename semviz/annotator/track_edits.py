@@ -13,8 +13,8 @@ from semviz.annotator import detection_tracks
 from semviz.annotator.draft import SMALLER, PagePixel
 from semviz.annotator.element_positions import ElementPositions
 from semviz.annotator.image_worker import ImageWorker
-from semviz.annotator.panes import Cameras, Pane
-from semviz.annotator.proposals import PropagationQuery, SearchImage
+from semviz.annotator.panes import Cameras, Pane, Panes
+from semviz.annotator.proposals import ImageQuery, PropagationQuery, SearchImage
 from semviz.web.protocol import Part
 from semviz_annotation.assist.marked_image import Mark, pixel
 from semviz_annotation.labels.edits import AddElements, NewElement
@@ -246,6 +246,34 @@ class LabelAligner:
             moved = _moved(row, found.mark, image.mark)
             if _apart_px(row, moved) >= LEAST_MOVE_PX:
                 yield moved
+
+
+class Aligners:
+    """The search for labels to align, kept while the labels stay the same. One thread at a time."""
+
+    def __init__(self, cameras: Cameras, positions: ElementPositions, worker: ImageWorker) -> None:
+        self._make = partial(LabelAligner, cameras, positions, worker)
+        self._last: LabelAligner | None = None
+
+    def of(self, edit: AlignLabelsEdit, labels: Labels, panes: Panes) -> LabelAligner:
+        """Return the search of an edit; the same one as before if nothing has changed."""
+        shown, last = panes.of(edit.frame_index), self._last
+        if (
+            last is None
+            or last.labels is not labels
+            or (last.panes, last.element_id) != (shown, edit.element_id)
+        ):
+            last = self._last = self._make(labels, shown, edit.element_id)
+        return last
+
+    def queries(self, edit: object, labels: Labels, panes: Panes) -> list[ImageQuery]:
+        """Return the queries of an edit that aligns labels; none of another."""
+        if not isinstance(edit, AlignLabelsEdit):
+            return []
+        try:
+            return [query for _, query in self.of(edit, labels, panes).searches]
+        except SemvizError:  # the edit says why
+            return []
 
 
 def _pane(row: Observation) -> Pane:

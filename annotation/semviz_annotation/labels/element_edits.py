@@ -223,11 +223,7 @@ def _deletions(rows: Iterable[Row | None]) -> Iterator[RowChange]:
 
 @dataclass(frozen=True)
 class AddObservation:
-    """Add an observation of an existing element or, if ``class_id`` is set, of a new one.
-
-    It takes back what was rejected of the element in this image, and "not here" in the other images
-    of the frame: from this label the element can be proposed there anew.
-    """
+    """Add an observation of an existing element or, if ``class_id`` is set, of a new one."""
 
     observation_id: Id
     element_id: Id
@@ -269,15 +265,8 @@ class AddObservation:
         if self.class_id is not None:
             yield RowChange(None, element)
         yield RowChange(None, row)
-        proposals = (proposal_id(element.id, self.frame_index, self.side), self.observation_id)
-        yield from _deletions(labels.dismissals.get(proposal) for proposal in proposals)
-        yield from _deletions(
-            dismissal
-            for dismissal in labels.dismissed_in(self.frame_index)
-            if dismissal.element_id == element.id
-            and dismissal.side != self.side
-            and dismissal.why == "rejected"  # the mark was; the element is here
-        )
+        here, accepted = labels.dismissed_in(self.frame_index), self.observation_id
+        yield from _deletions(one for one in here if one.id == accepted or one.is_refuted_by(row))
 
 
 @dataclass(frozen=True)
