@@ -13,9 +13,14 @@ from typing import Protocol
 import numpy as np
 
 from semviz.workspace.workspace import Workspace
+from semviz_annotation.assist.expected_position import expected_px
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.views import PosedView, rig_view
-from semviz_annotation.mapping.placement.triangulation import TriangulationFailure, triangulate
+from semviz_annotation.mapping.placement.triangulation import (
+    Triangulated,
+    TriangulationFailure,
+    triangulate,
+)
 from semviz_annotation.storage.backup import import_operations
 from semviz_core.base.camera import Camera
 from semviz_core.base.elements import Elements2D
@@ -47,6 +52,10 @@ class Drive(Protocol):
         """What is visible in an image, by element."""
         ...
 
+    def known(self, frame: int, side: Side) -> dict[int, Seen]:
+        """The same, with what is there but was not measured: it is right, but not missed."""
+        ...
+
     def depths_m(self, frame: int) -> dict[int, float]:
         """Depths of all elements in the left camera."""
         ...
@@ -66,6 +75,9 @@ class StreetDrive:
     def seen(self, frame: int, side: Side) -> dict[int, Seen]:
         return by_id(*self.street.labels(frame, side))
 
+    def known(self, frame: int, side: Side) -> dict[int, Seen]:
+        return self.seen(frame, side)
+
     def depths_m(self, frame: int) -> dict[int, float]:
         elements = self.street.truth_map.elements
         depths = view_of(self.street, frame, "left").depth_m(elements.anchor_m)
@@ -84,6 +96,8 @@ class KittiDrive:
 
     source: Dataset
     labels: Labels
+    completed: Labels
+    """With those that were carried by triangulation."""
     tells_hidden = False
 
     @classmethod
@@ -93,37 +107,58 @@ class KittiDrive:
             workspace = Workspace.create_kitti(path, kitti, "02", (2, 3), KITTI_FRAMES)
             with workspace.open_labels() as store:
                 import_operations(KITTI_LABELS, store)
+                completed = store.labels
                 store.restore(MEASURED, "bench")
-                return cls(workspace.source, store.labels)
+                return cls(workspace.source, store.labels, completed)
 
     def seen(self, frame: int, side: Side) -> dict[int, Seen]:
-        return {
-            self.labels.element(row.element_id).number: (
-                np.array(row.anchor_px),
-                np.array(row.end_px or (np.nan, np.nan)),
-                self.labels.element(row.element_id).class_id,
-                (row.anchor_known, row.end_known),
-            )
-            for row in self.labels.in_frame(frame, side)
-        }
+        return labelled(self.labels, frame, side)
+
+    def known(self, frame: int, side: Side) -> dict[int, Seen]:
+        """Where nobody labelled an element, it is where all labels together put it."""
+        view = view_of(self.source, frame, side)
+        placed: dict[int, Seen] = {}
+        for element, position in self._positions.items():
+            ends = expected_px(position, view)
+            if ends is not None:
+                end = ends[1] if position.is_line else np.full(2, np.nan)
+                class_id = self._class_ids[element]
+                placed[element] = ends[0], end, class_id, (False, False)
+        return placed | labelled(self.completed, frame, side) | self.seen(frame, side)
 
     @cached_property
-    def _anchors_m(self) -> dict[int, np.ndarray]:
-        anchors = {}
-        for element in self.labels.elements.values():
-            rows = self.labels.of_element(element.id)
+    def _class_ids(self) -> dict[int, int]:
+        return {each.number: each.class_id for each in self.completed.elements.values()}
+
+    @cached_property
+    def _positions(self) -> dict[int, Triangulated]:
+        positions = {}
+        for element in self.completed.elements.values():
+            rows = self.completed.of_element(element.id)
             views = [view_of(self.source, row.frame_index, row.side) for row in rows]
             position = triangulate(views, rows)
             if not isinstance(position, TriangulationFailure):
-                anchors[element.number] = position.anchor_m
-        return anchors
+                positions[element.number] = position
+        return positions
 
     def depths_m(self, frame: int) -> dict[int, float]:
         view = view_of(self.source, frame, "left")
         return {
-            element: float(view.depth_m(anchor[None])[0])
-            for element, anchor in self._anchors_m.items()
+            element: float(view.depth_m(position.anchor_m[None])[0])
+            for element, position in self._positions.items()
         }
+
+
+def labelled(labels: Labels, frame: int, side: Side) -> dict[int, Seen]:
+    return {
+        labels.element(row.element_id).number: (
+            np.array(row.anchor_px),
+            np.array(row.end_px or (np.nan, np.nan)),
+            labels.element(row.element_id).class_id,
+            (row.anchor_known, row.end_known),
+        )
+        for row in labels.in_frame(frame, side)
+    }
 
 
 def view_of(source: Dataset, frame: int, side: Side) -> PosedView:

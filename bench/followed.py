@@ -120,7 +120,14 @@ class Follower:
                 continue
             best = max(candidates, key=lambda each: score_of(each, track, place))
             score = score_of(best, track, place)
-            proposal = not_sure_if_cut(ProposedMark(best.mark, score), place, views[side].view)
+            reference = references[SIDES.index(side)]
+            proposal = not_sure_if_cut(
+                ProposedMark(best.mark, score),
+                place,
+                views[side].view,
+                (reference.source, reference.marked),
+                kind,
+            )
             assert proposal is not None
             yield side, None, proposal
             if side not in truth or proposal.score < score:

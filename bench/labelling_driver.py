@@ -82,12 +82,16 @@ class Labeller:
         self.class_id = 0
         self.labelled: set[int] = set()
         """Elements, in any frame."""
+        self.taken: set[int] = set()
+        """Elements whose proposals in this frame are weak, but right, like all that are weak: the
+        frame's key takes them."""
         self.sightings: list[tuple[int, int]] = []
-        """Frame and element of what was to be labelled."""
+        """Frame and element of what was to be labelled, or was labelled all the same."""
 
     def label(self, frame: int) -> None:
         """One frame: proposals first, then what is missing; then on to the next."""
         self.work.thoughts += 1
+        self.taken = set()
         truth = truth_of(self.drive, frame)
         self.settle()
         self.judge(frame, truth)
@@ -100,47 +104,73 @@ class Labeller:
         for element in truth.wanted:
             if self.lacking(frame, truth, element) and not self.is_offered(frame, truth, element):
                 self.draw(frame, truth, element, "right")
-        with self.work.on(FRAME, frame):
-            self.key("Control+Enter")
-        self.sightings += [(frame, element) for element in truth.wanted]
-        self.labelled |= {
+        self.finish(frame, truth)
+        here = {
             mark
             for mark in truth.marks
             if len(self.lacking(frame, truth, mark)) < len(truth.marks[mark])
         }
+        self.sightings += [(frame, element) for element in sorted(here | set(truth.wanted))]
+        self.labelled |= here
+
+    def finish(self, frame: int, truth: Truth) -> None:
+        """The frame's key; with what is weak if all of that is right."""
+        self.settle()
+        if self.taken:
+            self.judge(frame, truth)
+        with self.work.on(FRAME, frame):
+            self.key("Control+Shift+Enter" if self.taken else "Control+Enter")
 
     def judge(self, frame: int, truth: Truth) -> None:
-        """Turns down what is sure but wrong, and accepts what is weak but right: together, if that
-        takes fewer keys."""
-        weak: dict[str, tuple[ProposalView, int]] = {}
+        """Turns down what is sure but wrong.
+
+        What is weak but right is left to the frame's key, once the weak that is wrong is turned
+        down; or accepted one by one, if that takes fewer keys.
+        """
         for offer in self.offers(frame):
-            element = self.meant(offer, truth)
-            if offer.is_confident and element is None:
-                with self.work.on("sure but wrong: " + why_wrong(offer, truth), frame, told(offer)):
-                    self.point_at(offer)
-                    self.key("x")
-            elif (
-                not offer.is_confident
-                and element is not None
-                and self.lacking(frame, truth, element)
-            ):
-                weak[offer.id] = offer, element
-        together = set(self.page.evaluate("semviz.state.foundProposals.map(({ id }) => id)"))
-        with self.annotator.lock:
-            sure = {offer.id for offer in self.offers(frame) if offer.is_confident}
-        wrong = [o for o in self.offers(frame) if o.id in together - sure - weak.keys()]
-        if len(weak.keys() & together) > 1 + len(wrong):
-            self.work.thoughts += 1
-            with self.work.on("weak but right, together", frame):
-                for offer in wrong:
-                    self.point_at(offer)
-                    self.key("x")
-                self.key("Shift+G")
+            if offer.is_confident and self.meant(offer, truth) is None:
+                self.turn_down(frame, offer, "sure but wrong: " + why_wrong(offer, truth))
+        weak, wrong = self.weak(frame, truth)
+        found = self.found()
+        together = {id: element for id, (_, element) in weak.items() if id in found}
+        self.work.thoughts += bool(together)
+        self.taken = set()
+        if len(together) >= max(len(wrong), 1):
+            self.taken = set(together.values())
+            for offer in wrong:
+                self.turn_down(frame, offer, "weak and wrong")
         for offer, element in weak.values():
-            if self.lacking(frame, truth, element):
+            if element not in self.taken and self.lacking(frame, truth, element):
                 with self.work.on("weak but right", frame, told(offer), element):
                     self.point_at(offer)
                     self.key(" ")
+
+    def turn_down(self, frame: int, offer: ProposalView, cause: str) -> None:
+        with self.work.on(cause, frame, told(offer)):
+            self.point_at(offer)
+            self.key("x")
+
+    def weak(
+        self, frame: int, truth: Truth
+    ) -> tuple[dict[str, tuple[ProposalView, int]], list[ProposalView]]:
+        """Proposals that are weak but right, by id and with their elements; and those that are
+        wrong, but that the key for all would take."""
+        right: dict[str, tuple[ProposalView, int]] = {}
+        wrong = []
+        found = self.found()
+        for offer in self.offers(frame):
+            if offer.is_confident:
+                continue
+            element = self.meant(offer, truth)
+            if element is not None and self.lacking(frame, truth, element):
+                right[offer.id] = offer, element
+            elif offer.id in found:
+                wrong.append(offer)
+        return right, wrong
+
+    def found(self) -> set[str]:
+        """Ids of the proposals that the key for all takes."""
+        return set(self.page.evaluate("semviz.state.foundProposals.map(({ id }) => id)"))
 
     def draw(self, frame: int, truth: Truth, element: int, side: Side) -> None:
         """With snapping where its preview is right, without where it isn't; then corrected."""
@@ -301,8 +331,8 @@ class Labeller:
         )
 
     def is_offered(self, frame: int, truth: Truth, element: int) -> bool:
-        """Proposed and sure: the key at the end takes it."""
-        return any(
+        """Proposed, and the key at the end takes it."""
+        return element in self.taken or any(
             offer.is_confident and self.meant(offer, truth) == element
             for offer in self.offers(frame)
         )

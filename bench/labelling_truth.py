@@ -31,11 +31,13 @@ class Truth:
     class_id: dict[int, int]
     depth_m: dict[int, float]
     focal_px: float
+    measured: set[int]
+    """Elements whose marks were measured in all images of this frame."""
 
     @property
     def wanted(self) -> list[int]:
         """What is to be labelled: near, and in both images. Class by class."""
-        both = [mark for mark, marks in self.marks.items() if len(marks) == len(SIDES)]
+        both = [mark for mark in self.marks if mark in self.measured]
         near = [element for element in both if self.depth_m[element] < REACH_M]
         return sorted(near, key=lambda element: (self.class_id[element], self.depth_m[element]))
 
@@ -65,7 +67,8 @@ class Truth:
 
 
 def truth_of(drive: Drive, frame: int) -> Truth:
-    seen = {side: drive.seen(frame, side) for side in SIDES}
+    seen = {side: drive.known(frame, side) for side in SIDES}
+    measured = set.intersection(*(set(drive.seen(frame, side)) for side in SIDES))
     depths = drive.depths_m(frame)
     visible = sorted((seen["left"].keys() | seen["right"].keys()) & depths.keys())
     marks = {
@@ -82,6 +85,7 @@ def truth_of(drive: Drive, frame: int) -> Truth:
         {element: (seen["left"].get(element) or seen["right"][element])[2] for element in visible},
         depths,
         focal_px(drive.source.rig.left),
+        measured,
     )
 
 
@@ -121,7 +125,7 @@ def flags_right(labels: Labels, drive: Drive) -> tuple[float, float]:
     for row in labels.observations.values():
         if row.end_px is None:
             continue
-        marks = list(drive.seen(row.frame_index, row.side).values())
+        marks = list(drive.known(row.frame_index, row.side).values())
         gaps = [error_px((row.anchor_px, row.end_px), mark[:2]) for mark in marks]
         if min(gaps, default=np.inf) <= RIGHT_PX:
             known = marks[int(np.argmin(gaps))][3]
@@ -134,7 +138,7 @@ def errors_px(labels: Labels, drive: Drive) -> dict[int, list[float]]:
     """How far each label is from the nearest truth of its kind, by class."""
     errors: dict[int, list[float]] = defaultdict(list)
     for row in labels.observations.values():
-        marks = drive.seen(row.frame_index, row.side).values()
+        marks = drive.known(row.frame_index, row.side).values()
         gaps = [error_px((row.anchor_px, row.end_px), mark[:2]) for mark in marks]
         class_id = labels.element(row.element_id).class_id
         errors[class_id].append(min(gaps, default=float("inf")))

@@ -1,8 +1,8 @@
 """Decide which element a new drawing belongs to, and list elements to continue nearby.
 
 It is the selected element if that is free in the image and its rays agree, or if a person chose it:
-poses may lie, so the disagreement is only told. Else it is an element expected there, else a new
-one. A selection far from the drawing is dropped.
+poses may lie, so the disagreement is only told. Else it is an element expected there, else one
+whose proposal there was rejected, else a new one. A selection far from the drawing is dropped.
 
 Elements labelled a few frames away are listed if their position here is unknown: too far to be
 expected, or seen only once.
@@ -155,7 +155,7 @@ def associate_draft(
     """
     expected = _expected(drawing, class_id, proposals)
     if selected is None or not _is_free(selected.id, drawing, class_id, labels):
-        return DraftAssociation(expected)
+        return _unselected(expected, drawing, class_id, labels, positions, classes)
     error_px = _fit_error_px([*labels.of_element(selected.id), drawing], positions)
     if error_px <= CONSISTENT_PX:
         return DraftAssociation(selected.id)
@@ -171,8 +171,41 @@ def associate_draft(
     if off_px is not None and off_px <= STALE_PX:
         note = f"{off}, and kept as {name}, which is selected. U makes it a new element."
         return DraftAssociation(selected.id, note, off)
+    other = _unselected(None, drawing, class_id, labels, positions, classes)
+    if other.element_id is not None:
+        return other
     return DraftAssociation(
         None, f"{off}, so this is a new element. To link: Ctrl click both, then P."
+    )
+
+
+def _unselected(
+    expected: str | None,
+    drawing: Observation,
+    class_id: int,
+    labels: Labels,
+    positions: element_positions.ElementPositions,
+    classes: ClassSet,
+) -> DraftAssociation:
+    """Return the expected element, else one near whose rejected proposal the drawing lies: the mark
+    was wrong, so it is drawn."""
+    if expected is not None:
+        return DraftAssociation(expected)
+    near = []
+    for dismissal in labels.dismissed_in(drawing.frame_index):
+        element_id = dismissal.element_id
+        if element_id is None or (dismissal.side, dismissal.why) != (drawing.side, "rejected"):
+            continue
+        if _is_free(element_id, drawing, class_id, labels):
+            off_px = _distance_from_px(element_id, drawing, float("inf"), labels, positions)
+            if off_px is not None and off_px <= NEAR_EXPECTED_PX:
+                near.append((off_px, element_id))
+    if not near:
+        return DraftAssociation(None)
+    element_id = min(near)[1]
+    name = _name(element_id, labels, classes)
+    return DraftAssociation(
+        element_id, f"Continues {name}, which was rejected here. U makes it a new element."
     )
 
 

@@ -3,6 +3,7 @@
 Each image is decoded once and cached for a while; so are the results. Thread-safe.
 """
 
+import logging
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
@@ -178,11 +179,17 @@ class ImageWorker:
         return [query for query in queries if self._results.get(query) is None]
 
     def search(self, query: proposals.ImageQuery) -> None:
-        """Process a query; takes some milliseconds. An unreadable image has no results."""
+        """Process a query; takes some milliseconds. An unreadable image has no results.
+
+        Nor has a query that fails: the page would wait for it, without any other proposal.
+        """
+        results: Mapping[Pane, proposals.ImageSearchResult] = {}
         try:
             results = self._search(query)
         except SemvizError:  # the page shows the error in place of the image
-            results = {}
+            pass
+        except Exception:
+            logging.getLogger(__name__).exception("an image search failed")
         self._results.put(query, results)
 
     def best(self, query: proposals.ImageQuery, pane: Pane) -> ProposedMark | None:
@@ -226,7 +233,7 @@ class ImageWorker:
         if matches is None:
             return {}
         element = query.element or matched_element(here.view, query.mark, there.view, matches.best)
-        best = not_sure_if_cut(matches.best, element, there.view)
+        best = not_sure_if_cut(matches.best, element, there.view, (here, query.mark), class_)
         return {query.there: proposals.ImageSearchResult(best, matches.runner_up)}
 
     def _propagate(
@@ -242,10 +249,13 @@ class ImageWorker:
             LabelledView(self._marked_image(image.pane), image.mark) for image in query.beside
         )
         track = Track(beside, query.growth)
-        marks = propagate(views, query.element, self._classes[query.class_id], track=track)
+        class_ = self._classes[query.class_id]
+        marks = propagate(views, query.element, class_, track=track)
         return {
             image.there: proposals.ImageSearchResult(
-                not_sure_if_cut(mark, query.element, view.target.view)
+                not_sure_if_cut(
+                    mark, query.element, view.target.view, (view.source, view.marked), class_
+                )
             )
             for image, mark, view in zip(query.images, marks, views, strict=True)
         }

@@ -226,6 +226,10 @@ class AnnotatorPage:
     def _apply_edit(self, request: messages.ApplyEditRequest) -> None:
         """Apply an edit, confirm that it is saved, and update the other pages."""
         with self._shared.lock:
+            queries = self._session.queries_of(request.edit)
+        for query in queries:  # without the lock: other pages go on
+            self._session.image_worker.search(query)
+        with self._shared.lock:
             try:
                 self._save_edit(request)
             except ConflictError as error:

@@ -79,9 +79,7 @@ class LabelSession:
         self.image_worker = ImageWorker(self.images, cameras, self.classes, self._triangle_center)
         self._snap = lru_cache(maxsize=8)(self.image_worker.snap)  # the preview is what gets saved
         self._drafts = draft.DraftEditor(cameras, self._panes, self._positions)
-        self._aligner = partial(
-            track_edits.LabelAligner, cameras, self._positions, self.image_worker
-        )
+        self._aligners = track_edits.Aligners(cameras, self._positions, self.image_worker)
         self.map_work = MapWork(
             workspace,
             lambda: self._store.labels,
@@ -201,8 +199,8 @@ class LabelSession:
 
     def position(self, element_id: str) -> Triangulated | None:
         """Return the position of an element in the map frame; None if it is unknown."""
-        position = self._positions.of_element(self.labels, element_id)
-        return position if isinstance(position, Triangulated) else None
+        found = self._positions.of_element(self.labels, element_id)
+        return found if isinstance(found, Triangulated) else None
 
     # -- editing
 
@@ -213,8 +211,7 @@ class LabelSession:
         base: EditBase | None = None,
         author: str | None = None,
     ) -> SavedEdit:
-        """Apply an edit of ``author``; it is on disk when this returns. ``base``: what the page had
-        shown.
+        """Apply an edit of ``author``; it is on disk on return. ``base``: what the page had shown.
 
         A request that is sent twice is applied once. Raise SemvizError if the edit is invalid,
         ConflictError if it overwrites what the page had not shown, and LabelFileError if it cannot
@@ -245,11 +242,14 @@ class LabelSession:
             ):
                 return self._decide_tracks(edit, write)
             case track_edits.AlignLabelsEdit():
-                aligner = self._aligner(self.labels, self._panes.of(edit.frame_index))
-                aligned = aligner.edit(edit.element_id)
+                aligned = self._aligners.of(edit, self.labels, self._panes).edit()
                 return replace(self._saved(write(aligned)), note=aligned.note)
             case _:
                 return self._saved(write(edit))
+
+    def queries_of(self, edit: messages.PageEdit) -> list[ImageQuery]:
+        """Return the queries that an edit needs: processed before, they hold nobody up."""
+        return self._aligners.queries(edit, self.labels, self._panes)
 
     def _draw(self, edit: messages.DrawEdit, write: Write) -> SavedEdit:
         """Add an observation, of the element it belongs to or of a new one."""

@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Annotated, ClassVar, Literal, TypeAlias
 
 import numpy as np
@@ -13,8 +13,8 @@ from semviz.annotator import detection_tracks
 from semviz.annotator.draft import SMALLER, PagePixel
 from semviz.annotator.element_positions import ElementPositions
 from semviz.annotator.image_worker import ImageWorker
-from semviz.annotator.panes import Cameras, Pane
-from semviz.annotator.proposals import PropagationQuery, SearchImage
+from semviz.annotator.panes import Cameras, Pane, Panes
+from semviz.annotator.proposals import ImageQuery, PropagationQuery, SearchImage
 from semviz.web.protocol import Part
 from semviz_annotation.assist.marked_image import Mark, pixel
 from semviz_annotation.labels.edits import AddElements, NewElement
@@ -168,36 +168,48 @@ class LabelAligner:
     labels: Labels
     panes: Mapping[Side, Pane]
     """Those on screen."""
+    element_id: str
 
-    def edit(self, element_id: str) -> AlignEdit:
+    def edit(self) -> AlignEdit:
         """Return the edit of the labels in which the element is smaller than on screen.
 
         Where an image does not show it surely, the label stays. Raise SemvizError if nothing moves.
         """
-        self.labels.element(element_id)
-        here = self._here(element_id)
-        element = self._position(element_id, here)
-        moments = defaultdict(list)
-        for row in self._smaller(element_id, here, element):
-            moments[row.frame_index].append(row)
-        aligned = [row for rows in moments.values() for row in self._aligned(rows, here, element)]
+        aligned = [row for rows, query in self.searches for row in self._aligned(rows, query)]
         if not aligned:
             raise SemvizError("no label moves: each agrees with this view, or is unclear there")
         by_px = max(_apart_px(self.labels.observation(row.id), row) for row in aligned)
         return AlignEdit(tuple(aligned), by_px)
 
-    def _here(self, element_id: str) -> list[Observation]:
+    @cached_property
+    def searches(self) -> tuple[tuple[tuple[Observation, ...], PropagationQuery], ...]:
+        """The labels of each moment, with the query that finds where they belong.
+
+        Raise SemvizError if the element is unknown, not labelled on screen, or has no position.
+        """
+        class_id = self.labels.element(self.element_id).class_id
+        here = self._here()
+        element = self._position(here)
+        moments = defaultdict(list)
+        for row in self._smaller(here, element):
+            moments[row.frame_index].append(row)
+        return tuple(
+            (tuple(rows), PropagationQuery(class_id, element, self._images(rows, here)))
+            for rows in moments.values()
+        )
+
+    def _here(self) -> list[Observation]:
         shown = {(pane.frame_index, pane.side) for pane in self.panes.values()}
-        rows = self.positions.posed(self.labels.of_element(element_id))
+        rows = self.positions.posed(self.labels.of_element(self.element_id))
         return [row for row in rows if (row.frame_index, row.side) in shown]
 
-    def _position(self, element_id: str, here: Sequence[Observation]) -> Triangulated:
+    def _position(self, here: Sequence[Observation]) -> Triangulated:
         if not here:
             raise SemvizError("label it in this frame first: its other labels follow this view")
         pair = self.positions.of_observations(here) if len(here) > 1 else None
         if isinstance(pair, Triangulated):
             return pair
-        element = self.positions.of_element(self.labels, element_id)
+        element = self.positions.of_element(self.labels, self.element_id)
         if isinstance(element, Triangulated):
             return element
         raise SemvizError(f"it has no position: {element.reason}")
@@ -205,36 +217,63 @@ class LabelAligner:
     def _sizes(self, element: Triangulated, rows: Sequence[Observation]) -> FloatArray:
         return self.cameras.sizes_px(element, [_pane(row) for row in rows])
 
-    def _smaller(
-        self, element_id: str, here: Sequence[Observation], element: Triangulated
-    ) -> list[Observation]:
-        rows = self.positions.posed(self.labels.of_element(element_id))
+    def _smaller(self, here: Sequence[Observation], element: Triangulated) -> list[Observation]:
+        rows = self.positions.posed(self.labels.of_element(self.element_id))
         now = self._sizes(element, here).max()
         smaller = SMALLER * self._sizes(element, rows) < now
         return [row for row, is_smaller in zip(rows, smaller, strict=True) if is_smaller]
 
+    @staticmethod
+    def _images(
+        rows: Sequence[Observation], here: Sequence[Observation]
+    ) -> tuple[SearchImage, ...]:
+        """Return the images of some labels, each with the one on screen that it follows."""
+        by_side = {row.side: row for row in here}
+        sources = [by_side.get(row.side, here[0]) for row in rows]
+        return tuple(
+            SearchImage(_pane(row), _pane(source), Mark.of(source))
+            for row, source in zip(rows, sources, strict=True)
+        )
+
     def _aligned(
-        self, rows: Sequence[Observation], here: Sequence[Observation], element: Triangulated
+        self, rows: Sequence[Observation], query: PropagationQuery
     ) -> Iterator[Observation]:
         """Return the labels of one moment that move."""
-        by_side = {row.side: row for row in here}
-        images = tuple(
-            SearchImage(
-                Pane(row.frame_index, row.side), Pane(source.frame_index, source.side), mark
-            )
-            for row in rows
-            for source in [by_side.get(row.side, here[0])]
-            for mark in [Mark.of(source)]
-        )
-        class_id = self.labels.element(rows[0].element_id).class_id
-        query = PropagationQuery(class_id, element, images)
-        for row, image in zip(rows, images, strict=True):
+        for row, image in zip(rows, query.images, strict=True):
             found = self.worker.best(query, image.there)
             if found is None or not found.sure:
                 continue
             moved = _moved(row, found.mark, image.mark)
             if _apart_px(row, moved) >= LEAST_MOVE_PX:
                 yield moved
+
+
+class Aligners:
+    """The search for labels to align, kept while the labels stay the same. One thread at a time."""
+
+    def __init__(self, cameras: Cameras, positions: ElementPositions, worker: ImageWorker) -> None:
+        self._make = partial(LabelAligner, cameras, positions, worker)
+        self._last: LabelAligner | None = None
+
+    def of(self, edit: AlignLabelsEdit, labels: Labels, panes: Panes) -> LabelAligner:
+        """Return the search of an edit; the same one as before if nothing has changed."""
+        shown, last = panes.of(edit.frame_index), self._last
+        if (
+            last is None
+            or last.labels is not labels
+            or (last.panes, last.element_id) != (shown, edit.element_id)
+        ):
+            last = self._last = self._make(labels, shown, edit.element_id)
+        return last
+
+    def queries(self, edit: object, labels: Labels, panes: Panes) -> list[ImageQuery]:
+        """Return the queries of an edit that aligns labels; none of another."""
+        if not isinstance(edit, AlignLabelsEdit):
+            return []
+        try:
+            return [query for _, query in self.of(edit, labels, panes).searches]
+        except SemvizError:  # the edit says why
+            return []
 
 
 def _pane(row: Observation) -> Pane:

@@ -187,6 +187,23 @@ def test_drawing_where_it_was_turned_down_takes_that_back():
     assert list(Dismiss((elsewhere,)).changes(labels, RULES)) == []
 
 
+@pytest.mark.parametrize(
+    ("why", "stays"), [("rejected", False), ("occluded", True), ("absent", True)]
+)
+def test_a_label_takes_back_that_its_element_is_not_in_the_other_image(why, stays):
+    """What was rejected is the mark; that it is hidden there, somebody saw."""
+    a, b = pole(), pole()
+    right, of_b, later = (
+        dismissal(a.element_id, 1, "right", why),
+        dismissal(b.element_id, 1, "right", why),
+        dismissal(a.element_id, 2, "right", why),
+    )
+    labels = after(Labels(), a, b, Dismiss((right, of_b, later)))
+    drawn = replace(a, observation_id=new_id(), frame_index=1, class_id=None)
+    rest = set(after(labels, drawn).dismissals.values())
+    assert rest == {right, of_b, later} if why != "rejected" else rest == {of_b, later}
+
+
 def test_dismissals_go_with_their_element():
     a, b = pole(), pole(frame=1)
     turned_down = Dismiss((dismissal(a.element_id, 1), dismissal(b.element_id, 2), of_detector(2)))

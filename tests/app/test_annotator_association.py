@@ -124,6 +124,32 @@ def test_a_rejected_proposal_that_is_drawn_by_hand_stays_its_element(session: La
     assert session.labels.dismissed_in(2) == ()
 
 
+@pytest.mark.parametrize(("off_px", "why", "joins"), [
+    (6.0, "rejected", True), (30.0, "rejected", False), (6.0, "absent", False),
+])  # fmt: skip
+def test_of_several_rejected_proposals_each_is_continued_by_a_drawing_near_it(
+    session: LabelSession, off_px: float, why: Any, joins: bool
+) -> None:
+    """Whatever is selected: only one of them can be."""
+    far = (60.0, 0.0)
+    first = draw(session, pole(session, 0, "left"))
+    draw(session, pole(session, 0, "right", first))
+    other = draw(session, pole(session, 0, "left", shift_px=far))
+    draw(session, pole(session, 0, "right", other, far))
+    rejected = [
+        Dismissal(proposal_id(element, 2, side), 2, side, why, element)
+        for element in (first, other)
+        for side in SIDES
+    ]
+    session.apply(new_id(), Dismiss(tuple(rejected)))
+    done = do(session, pole(session, 2, "left", other, (off_px, 0.0)))
+    assert (done.element_id == first) is joins
+    assert ("Continues P-01, which was rejected here" in done.note) is joins
+    left = {(row.element_id, row.side) for row in session.labels.dismissed_in(2)}
+    assert ((first, "right") in left) is not joins, "it may be proposed in the other image anew"
+    assert {(other, "left"), (other, "right")} <= left
+
+
 def test_a_drawing_on_a_label_is_asked_about(session: LabelSession) -> None:
     first = draw(session, pole(session, 0, "left"))
     twice = pole(session, 0, "left", shift_px=(1.2, 0.0), asks_same=True)

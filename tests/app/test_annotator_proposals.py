@@ -10,6 +10,7 @@ from annotator_page import SIDES, Served, annotating, true_detections
 from journeys.driver import POLE, ROUNDED, TRIANGULAR, LabelDriver, Pixel, Side
 from streets import street_workspace
 
+from semviz.annotator import image_worker, proposals
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import new_id
 from semviz_annotation.labels.proposal import Proposal
@@ -101,14 +102,38 @@ def test_the_correspondence_is_proposed_and_one_key_accepts_it(
     assert served.labels.in_frame(0, "right") == ()
 
 
-def test_one_key_takes_the_sure_ones_and_goes_on(driver: LabelDriver, served: Served) -> None:
+@pytest.mark.parametrize("key", ["Control+Enter", "Control+Shift+Enter"])
+def test_one_key_takes_the_sure_ones_and_goes_on(
+    driver: LabelDriver, served: Served, key: str
+) -> None:
     draw_first(driver, served)
     wait_for_score(driver, "P-01")
-    driver.press_and_save("Control+Enter")
+    driver.press_and_save(key)
     driver.page.wait_for_function("() => semviz.state.frame === 1")
     driver.page.wait_for_function("() => semviz.state.pending.length === 0")
     assert len(served.labels.in_frame(0, "right")) == 1
     assert served.labels.review(0) == "reviewed"
+
+
+def test_only_the_key_for_all_takes_weak_ones_and_goes_on(
+    driver: LabelDriver, served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draw_first(driver, served)
+    wait_for_score(driver, "P-01")
+    driver.press_and_save("Space")
+    monkeypatch.setattr(proposals, "SURE", 1.0)  # all are weak
+    driver.goto(3)
+    driver.settle()
+    state = "({ confidentProposals: sure, foundProposals: all }) => [sure.length, all.length]"
+    assert driver.page.evaluate(f"({state})(semviz.state)") == [0, 1]
+    driver.page.keyboard.press("Control+Enter")
+    driver.page.wait_for_selector("#message:has-text('frame 3 has no labels')")
+    driver.goto(3)
+    driver.settle()
+    driver.press_and_save("Control+Shift+Enter")
+    driver.page.wait_for_function("() => semviz.state.labels.frames[3].state === 'reviewed'")
+    assert len(served.labels.in_frame(3, "left")) == 1
+    assert served.labels.review(3) == "reviewed"
 
 
 def test_one_key_accepts_weak_ones_too_and_the_nearest_view_offers_to_align_the_others(
@@ -231,6 +256,30 @@ def test_the_jump_list_leads_to_where_the_detector_disagrees(
         page.wait_for_selector('.tile.current[data-frame="3"]')
         page.wait_for_function("() => semviz.state.currentProposal?.name === 'new rounded sign'")
         page.goto("about:blank")
+
+
+def test_the_page_does_not_wait_for_a_search_that_failed(
+    driver: LabelDriver,
+    served: Served,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """The element is expected there, without a score."""
+    draw_first(driver, served)
+    wait_for_score(driver, "P-01")
+    driver.press_and_save("Space")
+
+    def failing(*_arguments: object, **_options: object) -> None:
+        raise np.linalg.LinAlgError("singular")
+
+    monkeypatch.setattr(image_worker, "propagate", failing)
+    driver.goto(1)
+    driver.settle()
+    (proposal,) = driver.page.evaluate(
+        "semviz.state.proposals.map(({ name, score }) => [name, score])"
+    )
+    assert proposal == ["P-01", 0]
+    assert "an image search failed" in caplog.text
 
 
 @pytest.mark.parametrize(("key", "why"), [("x", "rejected"), ("n", "absent"), ("o", "occluded")])

@@ -17,6 +17,7 @@ from semviz.annotator.draft import DraftState, ElementDraft
 from semviz.annotator.element_positions import ElementPositions
 from semviz.annotator.messages import DrawEdit
 from semviz.annotator.session import LabelSession
+from semviz.annotator.track_edits import AlignLabelsEdit
 from semviz.annotator.views import FrameSummary
 from semviz_annotation.assist.marked_image import Mark
 from semviz_annotation.assist.snap import snap
@@ -385,7 +386,12 @@ def test_labels_of_far_frames_are_aligned_to_the_nearest_view_in_one_operation(
     assert preview.card.smaller_views == 4
     before = dict(session.labels.observations)
     edit = {"kind": "align labels", "element_id": element_id, "frame_index": 5}
-    saved = do(session, edit)
+    asked = AlignLabelsEdit(kind="align labels", element_id=element_id, frame_index=5)
+    for query in session.queries_of(asked):
+        session.image_worker.search(query)
+    with pytest.MonkeyPatch.context() as patch:  # all is searched by then, without the lock
+        patch.setattr(session.image_worker, "search", None)
+        saved = do(session, edit)
     assert saved.note.startswith("Aligned 4 labels to this view")
     for (frame, side), id_ in ids.items():
         marks, numbers = seen[frame, side]

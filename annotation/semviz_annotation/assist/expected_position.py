@@ -10,13 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from semviz_annotation.assist.marked_image import Mark, ProposedMark, clip_to_image
+from semviz_annotation.assist.appearance import sign_half_size
+from semviz_annotation.assist.marked_image import Mark, MarkedImage, ProposedMark, clip_to_image
 from semviz_annotation.labels.views import PosedView
 from semviz_annotation.mapping.placement.triangulation import (
     Triangulated,
     TriangulationFailure,
     triangulate,
 )
+from semviz_core.base.classes import ElementClass
 from semviz_core.common.arrays import FloatArray
 
 SIGMA_PX = 1.5
@@ -77,7 +79,7 @@ def spread_px2(element: Triangulated, views: Sequence[PosedView], sigma_px: floa
 
 
 SIGN_RADIUS_M = 0.35
-"""Half the width of a usual sign."""
+"""Half the width of a usual sign; one that is measured may be larger, never smaller."""
 MIN_SHARE = {"pole": 0.5, "sign": 0.75}
 """Visible shares from which a proposal may be sure. A sign's is higher, because its size and, by a
 wrong pose, its place are only roughly known."""
@@ -85,10 +87,23 @@ CUT_SCORE = 0.5
 """The largest score of a proposal with less in view."""
 
 
-def visible_share(element: Triangulated, view: PosedView) -> float:
+def half_size_m(
+    element: Triangulated, image: MarkedImage, mark: Mark, element_class: ElementClass
+) -> FloatArray:
+    """Return half of a sign's width and height (2,) m, as measured where it is marked."""
+    depth_m = float(image.view.depth_m(element.anchor_m[None])[0])
+    half_m = sign_half_size(image, mark.ends_px[0], element_class)
+    half_m = half_m * max(depth_m, 0.0) / image.view.camera.K[0, 0]
+    return np.asarray(np.maximum(half_m, SIGN_RADIUS_M))
+
+
+def visible_share(
+    element: Triangulated, view: PosedView, half_m: FloatArray | float = SIGN_RADIUS_M
+) -> float:
     """Return the share of an element that is in an image: of a pole's length, or a sign's area.
 
-    0 behind the camera. ``element`` and ``view`` share the map frame.
+    0 behind the camera. ``element`` and ``view`` share the map frame. ``half_m`` is half of a
+    sign's width and height, or one number for both.
     """
     points = np.stack([element.anchor_m, element.end_m])[: 1 + element.is_line]
     pixels = view.project(points)
@@ -96,11 +111,11 @@ def visible_share(element: Triangulated, view: PosedView) -> float:
         return 0.0
     if element.is_line:
         return _share_of_line(pixels, view)
-    radius_px = view.camera.K[0, 0] * SIGN_RADIUS_M / float(view.depth_m(points)[0])
+    half_px = view.camera.K[0, 0] * half_m / float(view.depth_m(points)[0])
     size = np.array([view.camera.width, view.camera.height])
-    low = np.clip(pixels[0] - radius_px, -0.5, size - 0.5)
-    high = np.clip(pixels[0] + radius_px, -0.5, size - 0.5)
-    return min(float(np.prod((high - low) / (2.0 * radius_px))), 1.0)
+    low = np.clip(pixels[0] - half_px, -0.5, size - 0.5)
+    high = np.clip(pixels[0] + half_px, -0.5, size - 0.5)
+    return min(float(np.prod((high - low) / (2.0 * half_px))), 1.0)
 
 
 def _share_of_line(pixels: FloatArray, view: PosedView) -> float:
@@ -112,12 +127,20 @@ def _share_of_line(pixels: FloatArray, view: PosedView) -> float:
 
 
 def not_sure_if_cut(
-    proposed: ProposedMark | None, element: Triangulated | None, view: PosedView
+    proposed: ProposedMark | None,
+    element: Triangulated | None,
+    view: PosedView,
+    marked: tuple[MarkedImage, Mark],
+    element_class: ElementClass,
 ) -> ProposedMark | None:
-    """Return a proposal with ``CUT_SCORE`` at most if too little of its element is in view."""
+    """Return a proposal with ``CUT_SCORE`` at most if too little of its element is in view.
+
+    ``marked`` is where it is labelled; a sign is as large as it is there.
+    """
     if proposed is None or element is None:
         return proposed
-    share = visible_share(element, view)
+    half_m = SIGN_RADIUS_M if element.is_line else half_size_m(element, *marked, element_class)
+    share = visible_share(element, view, half_m)
     if share >= MIN_SHARE["pole" if element.is_line else "sign"]:
         return proposed
     return replace(proposed, score=min(proposed.score, CUT_SCORE))

@@ -265,8 +265,8 @@ class AddObservation:
         if self.class_id is not None:
             yield RowChange(None, element)
         yield RowChange(None, row)
-        proposals = (proposal_id(element.id, self.frame_index, self.side), self.observation_id)
-        yield from _deletions(labels.dismissals.get(proposal) for proposal in proposals)
+        here, accepted = labels.dismissed_in(self.frame_index), self.observation_id
+        yield from _deletions(one for one in here if one.id == accepted or one.is_refuted_by(row))
 
 
 @dataclass(frozen=True)

@@ -127,6 +127,13 @@ class Dismissal:
 
     __pydantic_config__: ClassVar[ConfigDict] = STRICT
 
+    def is_refuted_by(self, row: Observation) -> bool:
+        """Return whether a label takes this back: in its image whatever was said of the element; in
+        the other image of the frame "not here", as the element can be proposed there anew."""
+        if (self.element_id, self.frame_index) != (row.element_id, row.frame_index):
+            return False
+        return self.side == row.side or self.why == "rejected"
+
 
 @dataclass(frozen=True)
 class ReviewDecision:

@@ -327,7 +327,8 @@ class PoseInformation:
     ) -> "PoseInformation":
         """Return that of poses of which those in ``refined`` (n,) follow from images alone.
 
-        Errors of the others are independent, as large as a comparison with the images shows.
+        Errors of the others are independent, as large as a comparison with the images shows. So are
+        those of measured motions, if they are smaller than stated.
         """
         n = len(at)
         given_sigma = comparison.pose_sigma / np.sqrt(2.0)  # a pair has the errors of two poses
@@ -335,8 +336,10 @@ class PoseInformation:
         diagonal[~refined] += np.diag(given_sigma**-2.0)
         upper = np.zeros((max(n - 1, 0), 6, 6))
         R, t = at.motions()
-        for row in np.flatnonzero(comparison.compared & (refined[:-1] | refined[1:])).tolist():
-            A, J = comparison.information[row], adjoint(Pose(R[row], t[row]))
+        concerned = refined[:-1] | refined[1:]
+        share = _variance_share(comparison, comparison.compared & ~concerned)
+        for row in np.flatnonzero(comparison.compared & concerned).tolist():
+            A, J = comparison.information[row] / share, adjoint(Pose(R[row], t[row]))
             diagonal[row] += J.T @ A @ J
             diagonal[row + 1] += A
             upper[row] -= J.T @ A
@@ -352,6 +355,25 @@ class PoseInformation:
         columns[chosen, np.arange(len(chosen))] = 1.0
         factors = splu(_matrix(self.diagonal[near], upper).tocsc())
         return np.asarray(factors.solve(columns)[chosen])
+
+
+_LEAST_PAIRS, _LEAST_SHARE = 8, 0.05
+"""Fewer pairs tell nothing about the variance of measured motions; nor is it any smaller."""
+
+
+def _variance_share(comparison: PoseComparison, good: BoolArray) -> float:
+    """Return which share of their stated variance the measured motions have, at most 1.
+
+    Where poses are good, a motion's error is no larger than its innovation. The floors of measured
+    motions are those of real images; rendered ones, or a better camera, stay far below.
+    """
+    if good.sum() < _LEAST_PAIRS:
+        return 1.0
+    off, A = comparison.innovation[good], comparison.information[good]
+    chi2 = np.einsum("ni,nij,nj->n", off, A, off)
+    freedom = float(np.linalg.matrix_rank(A[0], rtol=1e-10, hermitian=True))  # 5 with one camera
+    median = freedom * (1.0 - 2.0 / (9.0 * freedom)) ** 3
+    return float(np.clip(np.median(chi2) / median, _LEAST_SHARE, 1.0))
 
 
 def stretches(

@@ -55,7 +55,7 @@ function forProposal(state, proposal) {
   return [
     hint(`accept ${proposal.name}`, "Space"),
     ...(confident > 1 ? [hint(`accept ${confident} confident`, "Shift Space"), hint("and next frame", "Ctrl Enter")] : []),
-    ...(found > Math.max(confident, 1) ? [hint(`accept all ${found}`, "Shift G")] : []),
+    ...(found > Math.max(confident, 1) ? [hint(`accept all ${found}`, "Shift G"), hint("and next frame", "Ctrl Shift Enter")] : []),
     hint("reject", "X"), hint("next", "Tab"), ...(second ? [hint("second-best", "K")] : []),
     hint("gone", "N"), hint("hidden", "O"), hint("draw it", "Click"),
   ];

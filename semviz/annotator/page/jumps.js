@@ -67,8 +67,8 @@ export function jumpFrames(state, name = state.jump) {
 export function jumpCommands(state, actions) {
   const group = "Frames";
   return [
-    { key: ",", shift: true, group, title: "Previous in the jump list", run: () => jump(state, actions, -1) },
-    { key: ".", shift: true, group, title: "Next in the jump list", run: () => jump(state, actions, 1) },
+    { key: ",", shift: true, group, title: "Previous in the jump list", row: "Previous, next in the jump list", run: () => jump(state, actions, -1) },
+    { key: ".", shift: true, group, title: "Next in the jump list", row: "Previous, next in the jump list", run: () => jump(state, actions, 1) },
     { key: "j", group, title: "Choose the jump list", run: () => {
       const names = [...Object.keys(JUMPS), ...reviewLists(state)];
       state.set({ jump: names[(names.indexOf(state.jump) + 1) % names.length] });

@@ -19,19 +19,21 @@ const ASKED_MS = 6000; // as long as the message is shown
 export function proposalCommands(state, actions, nextFrame) {
   const proposal = proposing(state, actions);
   const group = "Proposals";
+  const goOn = (/** @type {() => void} */ accept) => {
+    accept();
+    actions.markReviewed();
+    nextFrame();
+  };
   return [
     { key: " ", group, title: "Accept the current proposal", run: proposal.accept },
     { key: " ", shift: true, group, title: "Accept all confident proposals", row: "Accept confident; all", run: proposal.acceptSure },
-    { key: "Enter", ctrl: true, group, title: "The same, mark as reviewed, next frame", run: () => {
-      proposal.acceptSure();
-      actions.markReviewed();
-      nextFrame();
-    } },
+    { key: "Enter", ctrl: true, group, title: "The same, mark as reviewed, next frame", row: "Accept confident, reviewed, next", run: () => goOn(proposal.acceptSure) },
+    { key: "Enter", ctrl: true, shift: true, group, title: "Accept every proposal, mark as reviewed, next frame", row: "Accept all, reviewed, next", words: "all looked", run: () => goOn(proposal.acceptFound) },
     { key: "g", shift: true, group, title: "Accept every proposal, weak ones too", row: "Accept confident; all", words: "all looked", run: proposal.acceptFound },
     { key: "x", group, title: "Reject: not here", run: () => proposal.dismiss("rejected") },
     { key: "n", group, title: "Reject: no longer there", run: () => proposal.dismiss("absent") },
     { key: "k", group, title: "Take the second-best candidate", run: proposal.swap },
-    { key: "a", shift: true, group, title: "Accept all sure tracks; says how many first", run: proposal.acceptSureTracks },
+    { key: "a", shift: true, group, title: "Accept all sure tracks; says how many first", row: "Accept all sure tracks", run: proposal.acceptSureTracks },
     { key: "Tab", group, title: "Next proposal", run: () => proposal.step(1) },
     { key: "Tab", shift: true, group, title: "Previous proposal", run: () => proposal.step(-1) },
   ];
