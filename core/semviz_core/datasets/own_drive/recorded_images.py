@@ -99,7 +99,10 @@ def read_images(reading: Reading) -> RecordedImages:
 
 def _state_images(reading: Reading, recording: Recording) -> None:
     names = recording.names
-    text = f"{len(names.left)} in {shown(recording.images, 60)}"
+    extracted = reading.files.extracted
+    is_bag = extracted is not None and recording.images.is_relative_to(extracted)
+    place = reading.files.images if is_bag else recording.images
+    text = f"{len(names.left)} in {shown(place, 60)}"
     if names.right:
         text = f"{len(names.left)} pairs, {names.paired}"
     if names.unpaired:
