@@ -149,7 +149,7 @@ class ImageWorker:
         self,
         images: Images,
         cameras: Cameras,
-        classes: ClassSet,
+        classes: Callable[[], ClassSet],
         triangle_center: TriangleCenter,
     ) -> None:
         """Marks of triangular signs follow ``triangle_center``."""
@@ -194,13 +194,13 @@ class ImageWorker:
     def snap(self, pane: Pane, mark: Mark, class_id: int) -> Snapped | None:
         """Return ``mark`` snapped to image edges; None if no edge is clear."""
         try:
-            return snap(self._marked_image(pane), mark, self._classes[class_id])
+            return snap(self._marked_image(pane), mark, self._classes()[class_id])
         except SemvizError:
             return None
 
     def whole_pole(self, pane: Pane, point_px: Pixel, class_id: int) -> Mark | None:
         """Return the whole pole under a point; None if none is clear, or the class has signs."""
-        class_ = self._classes[class_id]
+        class_ = self._classes()[class_id]
         if class_.kind != "line":
             return None
         try:
@@ -220,7 +220,7 @@ class ImageWorker:
             return self._propagate(query)
         if isinstance(query, proposals.RefinementQuery):
             return self._refine(query)
-        class_ = self._classes[query.class_id]
+        class_ = self._classes()[query.class_id]
         there, here = self._marked_image(query.there), self._marked_image(query.here)
         matches = find_correspondence(here, there, query.mark, class_, query.element)
         if matches is None:
@@ -242,7 +242,7 @@ class ImageWorker:
             LabelledView(self._marked_image(image.pane), image.mark) for image in query.beside
         )
         track = Track(beside, query.growth)
-        marks = propagate(views, query.element, self._classes[query.class_id], track=track)
+        marks = propagate(views, query.element, self._classes()[query.class_id], track=track)
         return {
             image.there: proposals.ImageSearchResult(
                 not_sure_if_cut(mark, query.element, view.target.view)
@@ -263,7 +263,7 @@ class ImageWorker:
         ]
         other = None if query.other is None else self._marked_image(query.other)
         panes = (*(detected.pane for detected in query.detections), query.other)
-        refined = refine_detection(detections, other, self._classes[query.class_id])
+        refined = refine_detection(detections, other, self._classes()[query.class_id])
         return {
             pane: proposals.ImageSearchResult(mark, depth_m=refined.depth_m)
             for pane, mark in zip(panes, refined.proposed, strict=False)

@@ -50,7 +50,7 @@ from semviz.workspace.settings import (
     settings_content,
 )
 from semviz_core.base.camera import Rig
-from semviz_core.base.classes import DEFAULT_CLASSES, NEW_CENTER, ClassSet, TriangleCenter
+from semviz_core.base.classes import NEW_CENTER, ClassSet, TriangleCenter
 from semviz_core.base.frame import Dataset, FileDataset
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.base.semantic_map import MapFrame, SemanticMap
@@ -222,7 +222,10 @@ class Workspace:
 
     @property
     def classes(self) -> ClassSet:
-        return DEFAULT_CLASSES
+        """The classes of every workspace, and those that the labels declare."""
+        from semviz_annotation.storage.declarations import read_classes
+
+        return read_classes(self.labels_path)
 
     @cached_property
     def source(self) -> Dataset:
@@ -332,7 +335,7 @@ class Workspace:
 
         rig = self.source.rig
         center = NEW_CENTER if self.labels_path.exists() else self._center_of_proposals
-        store = LabelStore.open(self.labels_path, self.classes, rig, center)
+        store = LabelStore.open(self.labels_path, rig, center)
         if self.settings.calibration is None:
             self._keep_calibration(rig)
         return store
@@ -344,7 +347,7 @@ class Workspace:
 
         if not self.labels_path.exists():
             return Labels(triangle_center=self._center_of_proposals)
-        with LabelStore.open(self.labels_path, self.classes) as store:
+        with LabelStore.open(self.labels_path) as store:
             return store.labels
 
     @property

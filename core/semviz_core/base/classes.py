@@ -19,6 +19,7 @@ from semviz_core.base.elements import SIGMA_PX_RANGE, Elements2D
 from semviz_core.common.errors import SemvizError
 
 Kind = Literal["line", "point"]
+ClassShape = Literal["line", "triangle", "square", "circle", "diamond", "pentagon"]
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class ElementClass:
     name: str
     kind: Kind
     letter: str
-    shape: Literal["line", "triangle", "square", "circle", "diamond", "pentagon"]
+    shape: ClassShape
     color: str
     color_light: str
 
