@@ -35,7 +35,7 @@ def test_a_frame_of_own_classes_is_localized(method: str, rows: slice) -> None:
     assert found.status == "ok", found.reason
     assert found.T_camera_map is not None
     assert usual.T_camera_map is not None
-    off = found.T_camera_map.matrix - usual.T_camera_map.matrix
+    off = found.T_camera_map.as_matrix() - usual.T_camera_map.as_matrix()
     assert np.abs(off).max() < 0.01
     names = [class_.name for class_ in localizer.untrained_classes]
     assert names == ([] if method == "search" else ["gantry", "beacon"])
