@@ -71,6 +71,7 @@ class _Look:
     """Key of the class on the page, 5 to 9; empty for none."""
     author: parsing.OptionalText = None
     """Author in the history; default: your login name."""
+    json: parsing.Json = False
 
     def look(self) -> "ClassLook":
         from semviz_annotation.labels.class_looks import ClassLook
@@ -102,7 +103,7 @@ class ClassesAddCommand(_Look, _Named):
         with parsing.open_workspace(self.workspace).open_labels() as store:
             edit = new_class(store.labels, store.free_class_id(), self.name, self.kind, self.look())
             store.apply(edit, self.author or login_name())
-            _print_class(store, edit.declaration.id)
+            _print_class(store, edit.declaration.id, self.json)
         return 0
 
 
@@ -122,7 +123,7 @@ class ClassesChangeCommand(_Look, _Named):
         with parsing.open_workspace(self.workspace).open_labels() as store:
             edit = changed_class(store.labels, self.name, self.look(), self.new_name)
             store.apply(edit, self.author or login_name())
-            _print_class(store, edit.declaration.id)
+            _print_class(store, edit.declaration.id, self.json)
         return 0
 
 
@@ -134,6 +135,7 @@ class ClassesRemoveCommand(_Named):
 
     author: parsing.OptionalText = None
     """Author in the history; default: your login name."""
+    json: parsing.Json = False
 
     def run(self) -> int:
         from semviz.workspace.settings import login_name
@@ -143,7 +145,7 @@ class ClassesRemoveCommand(_Named):
         with parsing.open_workspace(self.workspace).open_labels() as store:
             row = own_class(store.labels, self.name)
             store.apply(RemoveClass(row.id), self.author or login_name())
-        print(f"{self.name} removed")
+        print(json.dumps({"removed": self.name}) if self.json else f"{self.name} removed")
         return 0
 
 
@@ -159,6 +161,7 @@ class ClassesAttributeCommand(_Named):
     """A value of the type choice; one option per value."""
     author: parsing.OptionalText = None
     """Author in the history; default: your login name."""
+    json: parsing.Json = False
 
     def run(self) -> int:
         from semviz.workspace.settings import login_name
@@ -169,14 +172,14 @@ class ClassesAttributeCommand(_Named):
         declared = AttributeType(self.name, type_, self.choice)
         with parsing.open_workspace(self.workspace).open_labels() as store:
             store.apply(DeclareAttribute(declared), self.author or login_name())
-        print(f"attribute {self.name}: {type_}")
+        print(json.dumps(asdict(declared)) if self.json else f"attribute {self.name}: {type_}")
         return 0
 
 
-def _print_class(store: "LabelStore", class_id: int) -> None:
-    from semviz_annotation.labels.own_classes import class_keys
-
-    row = store.labels.classes[class_id]
-    key = class_keys(store.labels).get(class_id)
+def _print_class(store: "LabelStore", class_id: int, as_json: bool) -> None:
+    row = store.labels.own_classes[class_id]
+    if as_json:
+        print(json.dumps(asdict(row)))
+        return
     shown = f"{row.letter}-01, {row.kind}-like, {row.shape}, {row.color}"
-    print(f"{row.name}: {shown}, " + (f"key {key}" if key else "no key"))
+    print(f"{row.name}: {shown}, " + (f"key {row.key}" if row.key else "no key"))

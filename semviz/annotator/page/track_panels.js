@@ -154,8 +154,8 @@ export class TrackPanels {
       details.split ? this.#cause(details.split) : null,
       el("h3", { text: "The whole track" }), ...this.#wholeTrack(row, details),
       ...this.#range(row, details),
-      el("dl", { class: "track-facts" }, el("dt", { text: "Place" }), el("dd", { text: details.place, title: details.place }), el("dt", { text: "Drawn by" }), el("dd", { text: details.drawn_by, title: details.drawn_by })),
-      ...Object.entries(row.attributes).map(([name, value]) => el("dl", { class: "track-facts" }, el("dt", { text: name }), el("dd", { text: value, title: value }))),
+      el("dl", { class: "track-facts" }, el("dt", { text: "Place" }), el("dd", { text: details.place, title: details.place }), el("dt", { text: "Drawn by" }), el("dd", { text: details.drawn_by, title: details.drawn_by }),
+        ...Object.entries(row.attributes).flatMap(([name, value]) => [el("dt", { text: name }), el("dd", { text: value, title: value })])),
       ...row.notes.map((note) => this.#note(note)),
     ];
   }
