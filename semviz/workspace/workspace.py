@@ -222,7 +222,6 @@ class Workspace:
 
     @property
     def classes(self) -> ClassSet:
-        """The classes of every workspace, and those that the labels declare."""
         from semviz_annotation.storage.declarations import read_classes
 
         return read_classes(self.labels_path)
@@ -277,7 +276,6 @@ class Workspace:
 
     @property
     def proposals_path(self) -> Path:
-        """Proposals of 'semviz detect' and 'semviz labels propose'."""
         return self.path / "proposals.parquet"
 
     def map_path(self, name: str) -> Path:
@@ -448,6 +446,6 @@ def _checked_name(name: str) -> str:
 
 
 def _names(folder: Path, suffix: str) -> tuple[str, ...]:
-    files = (file for file in folder.glob(f"*{suffix}") if not file.name.startswith("."))
-    ordered = sorted(files, key=lambda file: (file.stat().st_mtime_ns, file.name))
-    return tuple(file.stem for file in ordered)
+    files = [file for file in folder.glob(f"*{suffix}") if not file.name.startswith(".")]
+    files.sort(key=lambda file: (file.stat().st_mtime_ns, file.name))
+    return tuple(file.stem for file in files)

@@ -33,7 +33,7 @@ class ImportLabels:
     elements: tuple[rows.LabelElement, ...]
     observations: tuple[rows.Observation, ...]
     attributes: tuple[rows.Attribute, ...] = ()
-    outlines: tuple[rows.Outline, ...] = ()
+    outlines: tuple[rows.ImportedOutline, ...] = ()
     kind: Literal["import"] = "import"
 
     @classmethod
@@ -83,7 +83,7 @@ class ImportPlan:
     kept: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     """Keys that only the file's format understands, by observation id."""
     attributes: list[rows.Attribute] = field(default_factory=list)
-    outlines: list[rows.Outline] = field(default_factory=list)
+    outlines: list[rows.ImportedOutline] = field(default_factory=list)
     dropped: "Counter[str]" = field(default_factory=Counter)
     """Count of attributes that cannot be kept, by why."""
     already: int = 0
@@ -258,6 +258,6 @@ def _add_observation(
     id_ = row.id if existing is None else existing.id
     outline_id = rows.outline_id(id_)
     if parsed.outline is not None and outline_id not in labels.outlines:
-        plan.outlines.append(rows.Outline(outline_id, id_, *parsed.outline))
+        plan.outlines.append(rows.ImportedOutline(outline_id, id_, *parsed.outline))
     if parsed.kept:
         plan.kept[id_] = parsed.kept

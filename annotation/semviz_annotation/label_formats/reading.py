@@ -159,7 +159,7 @@ class ParsedObservation:
     attributes: Mapping[str, str] = field(default_factory=dict)
     """Of its element."""
     outline: tuple[OutlineForm, tuple[Pixel, ...]] | None = None
-    """The box or polygon that was drawn, see ``Outline``."""
+    """The box or polygon that was drawn, see ``ImportedOutline``."""
 
 
 @dataclass

@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from semviz_annotation.labels.rows import Outline, OutlineForm, Pixel
+from semviz_annotation.labels.rows import ImportedOutline, OutlineForm, Pixel
 from semviz_core.common.arrays import FloatArray
 
 Form: TypeAlias = Literal["line", "points", "box", "polygon"]
@@ -64,14 +64,14 @@ class DrawnShape:
 
 
 def outline_of(corners: Sequence[Pixel]) -> tuple[OutlineForm, tuple[Pixel, ...]]:
-    """Return corners as the points of an ``Outline``: a box if they are those of an upright one."""
+    """Return corners as the points of an ``ImportedOutline``: a box if they are those of an upright one."""
     us, vs = sorted({u for u, _ in corners}), sorted({v for _, v in corners})
     if len(corners) == 4 and len(us) == len(vs) == 2 and len(set(corners)) == 4:
         return "box", ((us[0], vs[0]), (us[1], vs[1]))
     return "polygon", tuple(corners)
 
 
-def outline_corners(outline: Outline) -> tuple[Pixel, ...]:
+def outline_corners(outline: ImportedOutline) -> tuple[Pixel, ...]:
     """Return the corners of an outline, of a box from its top left one on."""
     if outline.form == "polygon":
         return outline.points_px

@@ -9,10 +9,10 @@ from semviz_annotation.labels.rows import (
     AttributeType,
     ClassDeclaration,
     Dismissal,
+    ImportedOutline,
     LabelElement,
     Note,
     Observation,
-    Outline,
     Review,
     ReviewDecision,
     Row,
@@ -35,7 +35,7 @@ TABLES: Mapping[type[Row], str] = {
     ClassDeclaration: "own_classes",
     AttributeType: "attribute_types",
     Attribute: "attributes",
-    Outline: "outlines",
+    ImportedOutline: "outlines",
 }
 """The mapping of ``Labels`` that holds the rows of a type."""
 
@@ -105,7 +105,7 @@ class DraftTables:
         for element_id in {element for row in rows for element in row_elements(row)}:
             self._check(element_id)
         for row in rows:
-            if isinstance(row, Observation | Outline):
+            if isinstance(row, Observation | ImportedOutline):
                 self._check_outline(row)
         if any(isinstance(row, ClassDeclaration) for row in rows):
             self._check_own_classes(changes)
@@ -118,7 +118,7 @@ class DraftTables:
             element_id for name in _OF_ELEMENTS for element_id in self._indices[name]
         }:
             self._check(element_id)
-        for outline in self._tables[Outline].values():
+        for outline in self._tables[ImportedOutline].values():
             self._check_outline(outline)
 
     def class_of(self, row: Observation) -> int:
@@ -171,11 +171,11 @@ class DraftTables:
         if len({(row.frame_index, row.side) for row in rows}) < len(rows):
             raise SemvizError(f"element {number} would have two observations in one image")
 
-    def _check_outline(self, row: Observation | Outline) -> None:
+    def _check_outline(self, row: Observation | ImportedOutline) -> None:
         """Raise SemvizError if an outline would be left without its observation."""
-        observation_id = row.observation_id if isinstance(row, Outline) else row.id
+        observation_id = row.observation_id if isinstance(row, ImportedOutline) else row.id
         if observation_id not in self._tables[Observation] and (
-            outline_id(observation_id) in self._tables[Outline]
+            outline_id(observation_id) in self._tables[ImportedOutline]
         ):
             raise SemvizError("an outline would be left without its label")
 

@@ -17,12 +17,12 @@ from semviz_annotation.labels.rows import (
     ClassDeclaration,
     Dismissal,
     Id,
+    ImportedOutline,
     Index,
     Key,
     LabelElement,
     Note,
     Observation,
-    Outline,
     Pixel,
     Review,
     ReviewDecision,
@@ -86,7 +86,7 @@ class Labels:
     own_classes: Mapping[int, ClassDeclaration] = field(default_factory=SharedDict)
     attribute_types: Mapping[str, AttributeType] = field(default_factory=SharedDict)
     attributes: Mapping[str, Attribute] = field(default_factory=SharedDict)
-    outlines: Mapping[str, Outline] = field(default_factory=SharedDict)
+    outlines: Mapping[str, ImportedOutline] = field(default_factory=SharedDict)
     next_number: int = field(default=1, compare=False)
     """Number of the next new element. It never decreases, not even by undo."""
     operation: int = field(default=0, compare=False)
@@ -200,7 +200,7 @@ class Labels:
         rows = (self.attributes[row_id] for row_id in self._attributes_of.get(element_id, ()))
         return tuple(sorted(rows, key=lambda row: row.name))
 
-    def outline_of(self, observation_id: str) -> Outline | None:
+    def outline_of(self, observation_id: str) -> ImportedOutline | None:
         """Return the box or polygon that a label was imported with; None if there is none."""
         return self.outlines.get(outline_id(observation_id))
 
@@ -223,7 +223,7 @@ class Labels:
             row
             for row in self.rows()
             if left_out.isdisjoint(row_elements(row))
-            and not (isinstance(row, Outline) and row.observation_id in gone)
+            and not (isinstance(row, ImportedOutline) and row.observation_id in gone)
         )
         return self.with_rows(kept)
 

@@ -246,7 +246,7 @@ OutlineForm: TypeAlias = Literal["box", "polygon"]
 
 
 @dataclass(frozen=True)
-class Outline:
+class ImportedOutline:
     """The box or polygon that a label was imported with; it stays as it was drawn."""
 
     id: Id
@@ -274,7 +274,7 @@ Row: TypeAlias = (
     | ClassDeclaration
     | AttributeType
     | Attribute
-    | Outline
+    | ImportedOutline
 )
 Key: TypeAlias = tuple[type[Row], str | int]
 TAGS: dict[type[Row], str] = {
@@ -287,7 +287,7 @@ TAGS: dict[type[Row], str] = {
     ClassDeclaration: "declaration",
     AttributeType: "attribute_type",
     Attribute: "attribute",
-    Outline: "outline",
+    ImportedOutline: "outline",
 }
 
 
@@ -321,7 +321,7 @@ _Tagged: TypeAlias = Annotated[
     | Annotated[ClassDeclaration, Tag("declaration")]
     | Annotated[AttributeType, Tag("attribute_type")]
     | Annotated[Attribute, Tag("attribute")]
-    | Annotated[Outline, Tag("outline")],
+    | Annotated[ImportedOutline, Tag("outline")],
     Discriminator(_row_tag),
 ]
 

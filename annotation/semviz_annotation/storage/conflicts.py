@@ -15,11 +15,11 @@ from semviz_annotation.labels.rows import (
     Attribute,
     AttributeType,
     ClassDeclaration,
+    ImportedOutline,
     Key,
     LabelElement,
     Note,
     Observation,
-    Outline,
     Review,
     ReviewDecision,
     Row,
@@ -196,7 +196,7 @@ class ConflictChecker:
                 return f"the review of frame {row.frame_index}"
             case ClassDeclaration() | AttributeType():
                 return f"the declaration of {row.name}"
-            case Outline():
+            case ImportedOutline():
                 return "an imported outline"
         elements = [
             element for element in map(self._element, row_elements(row)) if element is not None

@@ -18,11 +18,11 @@ from semviz_annotation.labels.rows import (
     AttributeType,
     ClassDeclaration,
     Dismissal,
+    ImportedOutline,
     Key,
     LabelElement,
     Note,
     Observation,
-    Outline,
     Pixel,
     Review,
     ReviewDecision,
@@ -230,7 +230,7 @@ def _rows(connection: sqlite3.Connection) -> Iterator[Row]:
     for row in connection.execute("SELECT * FROM attributes"):
         yield Attribute(*row)
     for id_, observation, form, points in connection.execute("SELECT * FROM outlines"):
-        yield Outline(id_, observation, form, _POINTS.validate_json(points))
+        yield ImportedOutline(id_, observation, form, _POINTS.validate_json(points))
 
 
 def write_changes(
@@ -288,7 +288,7 @@ def row_values(row: Row) -> tuple[object, ...]:
             return row.name, row.type, json.dumps(row.choices)
         case Attribute():
             return row.id, row.element_id, row.name, row.value
-        case Outline():
+        case ImportedOutline():
             points_px = [tuple(map(float, point)) for point in row.points_px]
             return row.id, row.observation_id, row.form, json.dumps(points_px)
 
