@@ -76,8 +76,7 @@ TRUTH = "truth"
 class Workspace:
     """A workspace folder; get one from ``open`` or ``create_...``, which raise SemvizError.
 
-    Opening reads ``semviz.toml`` only; ``source`` looks for the images on first use.
-    """
+    Opening reads ``semviz.toml`` only; ``source`` looks for the images on first use."""
 
     def __init__(self, path: Path, settings: Settings) -> None:
         self.path = path

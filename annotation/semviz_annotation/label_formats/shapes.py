@@ -64,7 +64,7 @@ class DrawnShape:
 
 
 def outline_of(corners: Sequence[Pixel]) -> tuple[OutlineForm, tuple[Pixel, ...]]:
-    """Return corners as the points of an ``ImportedOutline``: a box if they are those of an upright one."""
+    """Return form and points of an ``ImportedOutline``: a box if its corners are upright."""
     us, vs = sorted({u for u, _ in corners}), sorted({v for _, v in corners})
     if len(corners) == 4 and len(us) == len(vs) == 2 and len(set(corners)) == 4:
         return "box", ((us[0], vs[0]), (us[1], vs[1]))
