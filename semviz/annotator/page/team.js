@@ -7,12 +7,14 @@
 /** @import {State} from "./state.js" */
 import { byId, el, svg } from "/static/dom.js";
 import { TeamPicture } from "./team_picture.js";
-import { spaced, uuid7 } from "./values.js";
+import { counted, spaced, uuid7 } from "./values.js";
 import { RenderCache, badge, capital, header, row } from "./widgets.js";
 
 /** @type {annotator.QueueEntry["state"][]} */
 const STATES = ["waiting", "sent back", "accepted"];
 const REFRESH_MS = 1000;
+/** A time in a narrow column. @type {Intl.DateTimeFormatOptions} */
+const WHEN = { month: "numeric", day: "numeric", hour: "numeric", minute: "2-digit" };
 
 export class Team {
   /**
@@ -201,10 +203,10 @@ export class Team {
   #person({ name, ranges, assigned, reviewed, pace, edits, last }) {
     const here = this.page.people.known.find((one) => one.name === name)?.frames ?? [];
     const isMe = name === this.state.workspace.author;
-    const where = here.length ? `frame ${here.join(", ")}` : last ? `away, last edit ${new Date(last).toLocaleString()}` : "away";
+    const where = here.length ? `frame ${here.join(", ")}` : last ? `last edit ${new Date(last).toLocaleString([], WHEN)}` : "away";
     return el("div", { class: isMe ? "team-person chosen" : "team-person" },
       el("div", { class: "team-name" }, el("b", { text: isMe ? `${name}, you` : name }), el("span", { class: "dim", text: where })),
-      el("div", { class: "team-done" }, el("b", { text: assigned ? `${reviewed} / ${assigned}` : `${reviewed}` }), el("span", { class: "dim", text: `${spaced(edits)} edits, ${pace} in 8 h` })),
+      el("div", { class: "team-done" }, el("b", { text: assigned ? `${reviewed} / ${assigned}` : `${reviewed}` }), el("span", { class: "dim", text: `${spaced(edits)} ${edits === 1 ? "edit" : "edits"}, ${pace} in 8 h` })),
       this.#bar(ranges, here));
   }
 
@@ -245,7 +247,7 @@ export class Team {
       row({ chosen: frame === this.state.frame, onclick: () => this.page.go(frame) },
         el("b", { class: "team-frame", text: frame }), el("span", { class: "team-who", text: person }), el("span", { class: "dim team-count", text: elements }),
         el("span", { class: "fill" }, what ? el("span", { class: "warning", text: "◆ " }) : null, what || "–"),
-        notes.length ? el("span", { text: `${notes.length} ${notes.length === 1 ? "comment" : "comments"}` }) : null,
+        notes.length ? el("span", { text: counted(notes.length, "comment") }) : null,
         el("span", { class: "dim", title: time, text: new Date(time).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" }) })));
   }
 

@@ -59,7 +59,8 @@ export class TrackActions {
   #submit(edit) {
     const { details, page, state } = this.tracks;
     const shown = state.lastShown;
-    page.submit(edit, details && details.operation < shown.operation ? details : shown);
+    const { operation, hash } = details && details.operation < shown.operation ? details : shown;
+    page.submit(edit, { operation, hash });
   }
 
   /** The labels of the chosen element changed: what is previewed may no longer hold. */
@@ -73,14 +74,20 @@ export class TrackActions {
 
   // -- the labels concerned
 
-  /** Whether there is a chosen element whose labels can be changed; if not, a message says what to do. */
-  #labelled() {
-    const { row, details, page } = this.tracks;
+  /** The chosen element, if it is one of labels; if not, a message says what to do. */
+  #element() {
+    const { row, page } = this.tracks;
     if (!row) page.notify("Choose an element first: arrows, or a click.", "wrong");
     else if (row.number < 0) page.notify("This is a track of detections: Space accepts it, X rejects it.", "wrong");
-    else if (!details) page.notify("The element is being read; try again.", "wrong");
-    else return { row, details };
+    else return row;
     return null;
+  }
+
+  /** The chosen element with its labels, once they are read; if they are not, a message says so. */
+  #labelled() {
+    const row = this.#element(), { details, page } = this.tracks;
+    if (row && !details) page.notify("The element is being read; try again.", "wrong");
+    return row && details ? { row, details } : null;
   }
 
   /** The labels of the chosen element in the range or the chosen cell.
@@ -156,9 +163,9 @@ export class TrackActions {
   }
 
   toggleUnsure() {
-    const found = this.#labelled();
-    if (!found) return;
-    const flags = found.row.notes.filter(({ unsure, text }) => unsure && !text);
+    const row = this.#element();
+    if (!row) return;
+    const flags = row.notes.filter(({ unsure, text }) => unsure && !text);
     if (flags.length) this.#submit({ kind: "delete note", note_id: flags[0].id });
     else this.note("", true);
   }

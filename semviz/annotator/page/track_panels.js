@@ -135,7 +135,7 @@ export class TrackPanels {
 
   #head() {
     const { row, state } = this.tracks;
-    if (!row) return [el("h2", { text: "No element" }), el("span", { class: "about", text: "choose one: arrows, or a click" })];
+    if (!row) return [el("h2", { text: "No element" }), el("span", { class: "about", text: "arrows, or a click" })];
     const kind = state.classOf(row.class_id);
     const [first, last] = this.tracks.table.span(row).map((place) => this.tracks.frameAt(place));
     return [
