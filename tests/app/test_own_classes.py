@@ -99,6 +99,7 @@ def test_classes_and_attributes_go_through_map_files_and_runs(
     from semviz.runs.reader import load_run
 
     recorded = load_run(workspace.run_path("search"))
+    assert known(recorded.semantic_map) == found
     assert {record.localization.status for record in recorded.frames} == {"ok"}
     assert {4, 5} & {
         class_id
