@@ -77,7 +77,7 @@ def _encode(value: Any, hint: Any, parts: dict[str, list[NDArray[Any]]]) -> Any:
             return list(value.shape)
         case "tuple", inner:
             return [_encode(item, inner, parts) for item in value]
-        case ("dict" | "numbered"), inner:
+        case (("dict" | "numbered"), inner):
             return {key: _encode(item, inner, parts) for key, item in value.items()}
         case "float", _:
             return float(value) if math.isfinite(value) else str(float(value))  # JSON has no NaN

@@ -58,7 +58,7 @@ export function commands(state, images, tools, actions) {
     { key: "p", group: "Draw", title: "Link the two selected elements", run: edit.link },
     { key: "u", group: "Draw", title: "Unlink: this view is another element", words: "split", run: edit.unlink },
     ...keyed.map(({ id, key, name }) => ({
-      key, shift: true, group: "Draw", title: `Selected sign becomes ${name}`, row: "Class of the selected sign", run: () => edit.setClass(id),
+      key, shift: true, group: "Draw", title: `Selected element becomes ${name}`, row: "Class of the selected element", run: () => edit.setClass(id),
     })),
     { key: "o", group: "Draw", title: "Bottom hidden; proposal: all hidden", run: () => edit.hide() },
     { key: "c", group: "Draw", title: "Peak cut off, or visible again", run: () => edit.flag("anchor_known") },
