@@ -27,11 +27,10 @@ from semviz_core.base.frame import Dataset, Side
 from semviz_core.common.arrays import ByteImage
 from semviz_core.common.errors import SemvizError
 
-CACHED_DECODED, MORE_DECODED = 12, 4
-"""About 17 MB of KITTI's images, around the frame on screen; more for each further page."""
-CACHED_IMAGES, MORE_IMAGES = 48, 8
-"""About 40 MB of KITTI's PNGs, and 7 MB for each further page: a page wants those of three frames
-at once, and what left the cache before it is shown is decoded and encoded again."""
+CACHED_DECODED = 12
+"""About 17 MB of KITTI's images, around the frame on screen."""
+CACHED_IMAGES = 48
+"""About 40 MB of KITTI's PNGs."""
 CACHED_THUMBNAILS = 4000
 THUMBNAIL_WIDTH_PX = 128
 FAST = 1
@@ -75,12 +74,6 @@ class Images:
                 if self._source.rig.right is not None:
                     self.png(frames[near].index, "right")
 
-    def serve(self, pages: int) -> None:
-        """Keep as many images as so many pages need."""
-        more = max(0, pages - 1)
-        self._decoded.limit = CACHED_DECODED + MORE_DECODED * more
-        self._images.limit = CACHED_IMAGES + MORE_IMAGES * more
-
     def close(self) -> None:
         for cache in (self._images, self._thumbnails, self._decoded):
             cache.close()
@@ -102,7 +95,7 @@ class _FutureCache(Generic[T]):
     """
 
     def __init__(self, limit: int, workers: int) -> None:
-        self.limit = limit
+        self._limit = limit
         self._futures: OrderedDict[Key, Future[T]] = OrderedDict()
         self._lock = threading.Lock()
         self._workers = ThreadPoolExecutor(workers, "semviz-images")
@@ -113,7 +106,7 @@ class _FutureCache(Generic[T]):
             if future is None or (future.done() and future.exception() is not None):
                 future = self._futures[key] = self._workers.submit(make)
             self._futures.move_to_end(key)
-            while len(self._futures) > self.limit:
+            while len(self._futures) > self._limit:
                 self._futures.popitem(last=False)[1].cancel()
             return future
 
@@ -140,9 +133,8 @@ def _encode(suffix: str, image: ByteImage, option: int, value: int) -> bytes:
 
 
 CACHED_RESULTS = 5000
-CACHED_MARKED_IMAGES, MORE_MARKED_IMAGES = 24, 4
-"""About 46 MB of KITTI's: a dozen moments, as tracks are searched with the views before; more for
-each further page."""
+CACHED_MARKED_IMAGES = 24
+"""About 46 MB of KITTI's: a dozen moments, as tracks are searched with the views before."""
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -169,11 +161,6 @@ class ImageWorker:
             _Recent(CACHED_RESULTS)
         )
         self._marked_images: _Recent[Pane, MarkedImage] = _Recent(CACHED_MARKED_IMAGES)
-
-    def serve(self, pages: int) -> None:
-        """Keep as many images as so many pages need."""
-        self._images.serve(pages)
-        self._marked_images.limit = CACHED_MARKED_IMAGES + MORE_MARKED_IMAGES * max(0, pages - 1)
 
     def with_results(
         self, candidates: Iterable[proposals.LabelProposal]
@@ -297,7 +284,7 @@ class _Recent(Generic[K, V]):
     """A cache of the most recently stored values. Thread-safe."""
 
     def __init__(self, limit: int) -> None:
-        self.limit = limit
+        self._limit = limit
         self._values: OrderedDict[K, V] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -308,5 +295,5 @@ class _Recent(Generic[K, V]):
     def put(self, key: K, value: V) -> None:
         with self._lock:
             self._values[key] = value
-            while len(self._values) > self.limit:
+            while len(self._values) > self._limit:
                 self._values.popitem(last=False)

@@ -89,7 +89,6 @@ class Annotator:
 
     def forget(self, page: AnnotatorPage) -> None:
         self._pages.remove(page)
-        self.session.image_worker.serve(len(self._pages))
 
     def role_of(self, person: str) -> Role | None:
         if not person:
@@ -122,7 +121,6 @@ class Annotator:
             old = self.session
             self.session = LabelSession(Workspace.open(old.workspace.path), old.author)
             self.session.map_work.refresh()
-            self.session.image_worker.serve(len(self._pages))
             for page in self.pages:
                 page.restart()
         self.search_thread.submit(old.close)  # after the searches that use it
@@ -140,7 +138,6 @@ class Annotator:
     def _open(self, session_id: str, send: Send, person: str = "") -> AnnotatorPage:
         page = AnnotatorPage(session_id, send, self, person)
         self._pages.append(page)
-        self.session.image_worker.serve(len(self._pages))
         return page
 
     def _poll(self) -> None:

@@ -287,10 +287,11 @@ class Draft(DraftTables):
 
     def __init__(self, labels: Labels, table: Table = SharedDict) -> None:
         tables: dict[type[Row], MutableMapping[Any, Any]] = {
-            kind: table(getattr(labels, name)) for kind, name in TABLES.items()
+            kind: (dict if kind is LabelElement else table)(getattr(labels, name))
+            for kind, name in TABLES.items()
         }
         super().__init__(
-            tables | {LabelElement: dict(labels.elements)},
+            tables,
             {name: table(getattr(labels, name)) for of in INDICES.values() for name in of},
             table(labels._numbered),
             labels.next_number,
@@ -301,13 +302,14 @@ class Draft(DraftTables):
     def labels(self) -> Labels:
         """Return the present state, which is valid until the draft changes again."""
         tables: dict[str, Any] = {
-            name: SharedDict.of(self._tables[kind]) for kind, name in TABLES.items()
+            TABLES[kind]: rows if kind is LabelElement else SharedDict.of(rows)
+            for kind, rows in self._tables.items()
         }
         indices: dict[str, Any] = {
             name: SharedDict.of(index) for name, index in self._indices.items()
         }
         return Labels(
-            **tables | {"elements": self._elements},
+            **tables,
             next_number=self.next_number,
             operation=self._operation,
             triangle_center=self._triangle_center,
