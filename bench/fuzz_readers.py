@@ -23,8 +23,8 @@ from semviz.runs import run
 from semviz.workspace import foreign_results, pose_choices, settings
 from semviz_annotation.label_formats.coco import read_coco
 from semviz_annotation.label_formats.cvat import read_cvat
-from semviz_annotation.label_formats.exchange import ImportLabels, plan_import
 from semviz_annotation.label_formats.import_context import LabelImportContext
+from semviz_annotation.label_formats.import_plan import ImportLabels, plan_import
 from semviz_annotation.label_formats.labelme import read_labelme
 from semviz_annotation.label_formats.reading import ParsedLabels
 from semviz_annotation.labels.labels import Labels

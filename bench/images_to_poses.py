@@ -31,7 +31,7 @@ from semviz.runs.run import FrameRecord, Observations
 from semviz.workspace.detect import DetectOptions, detect_images, images_of
 from semviz.workspace.localize import CROP_RADIUS_M, LocalizeOptions, localize_workspace
 from semviz.workspace.workspace import TRUTH, Workspace
-from semviz_annotation.label_formats.exchange import ImportLabels
+from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.labels.labels import Observation
 from semviz_annotation.mapping.build import BuildOptions, build_map
 from semviz_annotation.storage.backup import import_operations

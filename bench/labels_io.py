@@ -20,10 +20,10 @@ import tyro
 
 from semviz_annotation.label_formats.exchange import (
     ForeignFormat,
-    ImportLabels,
     export_labels,
     import_labels,
 )
+from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.labels.labels import LabelElement, Observation
 from semviz_annotation.labels.proposals import load_proposals, read_proposals, save_proposals
 from semviz_annotation.labels.rows import derived_id

@@ -29,7 +29,7 @@ from semviz.web.gateway import Gateway
 from semviz.workspace.demo import MAP, RUN, SEED, ensure_demo
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.assist.marked_image import Mark
-from semviz_annotation.label_formats.exchange import ImportLabels
+from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.labels.edits import AddObservation, Edit
 from semviz_annotation.labels.labels import new_id
 from semviz_annotation.storage.store import LabelStore

@@ -12,7 +12,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 
-from semviz.commands import labels, map_files, maps, runs
+from semviz.commands import classes, labels, map_files, maps, runs
 from semviz.commands.backdrop import MapBackdropCommand
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
 from semviz.commands.detector_rates import DetectRatesCommand
@@ -59,6 +59,14 @@ LabelCommands = Annotated[
     | Annotated[labels.LabelsRestoreCommand, subcommand("restore")],
     subcommand("labels", description="Import, export, check and back up labels; import proposals."),
 ]
+ClassCommands = Annotated[
+    Annotated[classes.ClassesListCommand, subcommand("list")]
+    | Annotated[classes.ClassesAddCommand, subcommand("add")]
+    | Annotated[classes.ClassesChangeCommand, subcommand("change")]
+    | Annotated[classes.ClassesRemoveCommand, subcommand("remove")]
+    | Annotated[classes.ClassesAttributeCommand, subcommand("attribute")],
+    subcommand("classes", description="Classes and attributes of a workspace's own."),
+]
 DetectCommands = Annotated[
     Annotated[DetectCommand, subcommand("run")]
     | Annotated[DetectTrainCommand, subcommand("train")]
@@ -88,6 +96,7 @@ Command = (
     | Annotated[runs.RepairCommand, subcommand("repair")]
     | Annotated[runs.TrajectoryCommand, subcommand("trajectory")]
     | LabelCommands
+    | ClassCommands
     | Annotated[BenchmarkCommand, subcommand("benchmark")]
     | Annotated[TrainCommand, subcommand("train")]
     | Annotated[WeightsCommand, subcommand("weights")]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.label_formats.exchange import ImportLabels
+from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.labels.labels import LabelElement, Labels, Observation
 from semviz_annotation.labels.rows import derived_id
 from semviz_core.base.classes import POLE

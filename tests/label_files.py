@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from semviz_annotation.label_formats.exchange import ImportLabels
+from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.labels.labels import LabelElement, Labels, Observation
 from semviz_annotation.labels.rows import Rules, derived_id
 from semviz_annotation.storage.store import LabelStore

@@ -11,7 +11,7 @@ from support.street_labels import careful, label_street
 
 from semviz.cli import main
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.label_formats.exchange import ImportLabels
+from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.labels.labels import Labels
 from semviz_core.base.frame import Frame, Side
 from semviz_core.base.pose import Pose, so3_exp

@@ -19,7 +19,6 @@ from semviz.annotator.proposals import LabelProposal
 from semviz_annotation.assist.marked_image import Mark, pixel
 from semviz_annotation.labels.labels import Labels, Observation
 from semviz_annotation.labels.views import PosedView
-from semviz_core.base.classes import ClassSet
 from semviz_core.base.frame import Side
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
@@ -147,7 +146,6 @@ def associate_draft(
     proposals: Iterable[LabelProposal],
     labels: Labels,
     positions: element_positions.ElementPositions,
-    classes: ClassSet,
 ) -> DraftAssociation:
     """Return the element that a drawing joins; see the module.
 
@@ -155,11 +153,11 @@ def associate_draft(
     """
     expected = _expected(drawing, class_id, proposals)
     if selected is None or not _is_free(selected.id, drawing, class_id, labels):
-        return _unselected(expected, drawing, class_id, labels, positions, classes)
+        return _unselected(expected, drawing, class_id, labels, positions)
     error_px = _fit_error_px([*labels.of_element(selected.id), drawing], positions)
     if error_px <= CONSISTENT_PX:
         return DraftAssociation(selected.id)
-    name = _name(selected.id, labels, classes)
+    name = _name(selected.id, labels)
     off_px = _distance_from_px(selected.id, drawing, error_px, labels, positions)
     is_measured = off_px is not None and np.isfinite(off_px)
     off = f"{off_px:.1f} px off {name}" if is_measured else f"Does not fit {name}"
@@ -171,7 +169,7 @@ def associate_draft(
     if off_px is not None and off_px <= STALE_PX:
         note = f"{off}, and kept as {name}, which is selected. U makes it a new element."
         return DraftAssociation(selected.id, note, off)
-    other = _unselected(None, drawing, class_id, labels, positions, classes)
+    other = _unselected(None, drawing, class_id, labels, positions)
     if other.element_id is not None:
         return other
     return DraftAssociation(
@@ -185,7 +183,6 @@ def _unselected(
     class_id: int,
     labels: Labels,
     positions: element_positions.ElementPositions,
-    classes: ClassSet,
 ) -> DraftAssociation:
     """Return the expected element, else one near whose rejected proposal the drawing lies: the mark
     was wrong, so it is drawn."""
@@ -203,7 +200,7 @@ def _unselected(
     if not near:
         return DraftAssociation(None)
     element_id = min(near)[1]
-    name = _name(element_id, labels, classes)
+    name = _name(element_id, labels)
     return DraftAssociation(
         element_id, f"Continues {name}, which was rejected here. U makes it a new element."
     )
@@ -268,9 +265,7 @@ class SamePlaceError(SemvizError):
         self.below = below
 
 
-def label_below(
-    drawing: Observation, is_line: bool, labels: Labels, classes: ClassSet
-) -> LabelBelow | None:
+def label_below(drawing: Observation, is_line: bool, labels: Labels) -> LabelBelow | None:
     """Return the label that a drawing lies on, the nearest if several; None if there is none.
 
     Poles lie on poles, signs on signs of any class: two signs at one place are one sign twice.
@@ -281,13 +276,13 @@ def label_below(
             continue
         distance_px = _distance_px(Mark.of(row), drawing)
         if distance_px <= SAME_PLACE_PX:
-            found.append(LabelBelow(row, _name(row.element_id, labels, classes), distance_px))
+            found.append(LabelBelow(row, _name(row.element_id, labels), distance_px))
     return min(found, key=lambda below: below.distance_px, default=None)
 
 
-def _name(element_id: str, labels: Labels, classes: ClassSet) -> str:
+def _name(element_id: str, labels: Labels) -> str:
     element = labels.element(element_id)
-    return classes.element_name(element.class_id, element.number)
+    return labels.classes.element_name(element.class_id, element.number)
 
 
 def _fit_error_px(

@@ -20,7 +20,8 @@ from semviz_annotation.assist.marked_image import Mark, both_ends_px, gaps_px
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.proposal import Proposal
 from semviz_annotation.labels.proposals import Proposals
-from semviz_annotation.labels.rows import SharedDict, derived_id
+from semviz_annotation.labels.rows import derived_id
+from semviz_annotation.labels.shared_dict import SharedDict
 from semviz_annotation.labels.views import PosedView
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.frame import Side

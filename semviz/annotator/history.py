@@ -16,7 +16,6 @@ from semviz.workspace.pose_choices import PoseChoices
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.storage.operations import NO_HASH, LogEnd
 from semviz_annotation.storage.store import LabelStore, Operation
-from semviz_core.base.classes import ClassSet
 
 PAGE_SIZE = 100
 """Number of older operations in one answer."""
@@ -33,13 +32,10 @@ class PastFrame(Part):
 class HistoryView:
     """Read access to the history of one label store. One thread at a time."""
 
-    def __init__(
-        self, store: LabelStore, panes: Panes, frames: Container[object], classes: ClassSet
-    ) -> None:
+    def __init__(self, store: LabelStore, panes: Panes, frames: Container[object]) -> None:
         self._store = store
         self._panes = panes
         self._frames = frames
-        self._classes = classes
         self._last_read = Labels()
         """The state read last: people step through its frames."""
 
@@ -70,7 +66,7 @@ class HistoryView:
             hash="",
             panes=views.pane_views(self._panes, frame_index),
             at_that_time=self._panes.at_that_time(frame_index),
-            elements=views.element_views(labels, panes, self._classes),
+            elements=views.element_views(labels, panes, self._store.labels.classes),
             proposals=[],
             nearby=[],
             is_searching=False,
@@ -102,8 +98,7 @@ class HistoryView:
     def _views(self, operations: tuple[Operation, ...]) -> list[OperationView]:
         labels = self._store.labels
         return [
-            operation_texts.operation_view(operation, labels, self._classes)
-            for operation in reversed(operations)
+            operation_texts.operation_view(operation, labels) for operation in reversed(operations)
         ]
 
 
@@ -114,9 +109,8 @@ HISTORY = 100
 class UpdateFeed:
     """Follows the log of one store, whichever process writes it. One thread at a time."""
 
-    def __init__(self, store: LabelStore, classes: ClassSet, quality: FrameQuality) -> None:
+    def __init__(self, store: LabelStore, quality: FrameQuality) -> None:
         self._store = store
-        self._classes = classes
         self._quality = quality
         self._changed: set[int] = set()
         """Changed frames that have not been sent to the pages."""
@@ -142,9 +136,7 @@ class UpdateFeed:
             self._start()
             self._changed.update(self._quality.forget_all())
         for operation in self._store.operations(after=self.end.number):
-            self._history.appendleft(
-                operation_texts.operation_view(operation, labels, self._classes)
-            )
+            self._history.appendleft(operation_texts.operation_view(operation, labels))
             self._changed.update(operation_texts.frames_touched(operation))
             self._changed.update(operation_texts.frames_of_decisions(operation, labels))
             self._quality.forget(operation, labels)

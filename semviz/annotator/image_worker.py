@@ -150,7 +150,7 @@ class ImageWorker:
         self,
         images: Images,
         cameras: Cameras,
-        classes: ClassSet,
+        classes: Callable[[], ClassSet],
         triangle_center: TriangleCenter,
     ) -> None:
         """Marks of triangular signs follow ``triangle_center``."""
@@ -201,13 +201,13 @@ class ImageWorker:
     def snap(self, pane: Pane, mark: Mark, class_id: int) -> Snapped | None:
         """Return ``mark`` snapped to image edges; None if no edge is clear."""
         try:
-            return snap(self._marked_image(pane), mark, self._classes[class_id])
+            return snap(self._marked_image(pane), mark, self._classes()[class_id])
         except SemvizError:
             return None
 
     def whole_pole(self, pane: Pane, point_px: Pixel, class_id: int) -> Mark | None:
         """Return the whole pole under a point; None if none is clear, or the class has signs."""
-        class_ = self._classes[class_id]
+        class_ = self._classes()[class_id]
         if class_.kind != "line":
             return None
         try:
@@ -227,7 +227,7 @@ class ImageWorker:
             return self._propagate(query)
         if isinstance(query, proposals.RefinementQuery):
             return self._refine(query)
-        class_ = self._classes[query.class_id]
+        class_ = self._classes()[query.class_id]
         there, here = self._marked_image(query.there), self._marked_image(query.here)
         matches = find_correspondence(here, there, query.mark, class_, query.element)
         if matches is None:
@@ -249,7 +249,7 @@ class ImageWorker:
             LabelledView(self._marked_image(image.pane), image.mark) for image in query.beside
         )
         track = Track(beside, query.growth)
-        class_ = self._classes[query.class_id]
+        class_ = self._classes()[query.class_id]
         marks = propagate(views, query.element, class_, track=track)
         return {
             image.there: proposals.ImageSearchResult(
@@ -273,7 +273,7 @@ class ImageWorker:
         ]
         other = None if query.other is None else self._marked_image(query.other)
         panes = (*(detected.pane for detected in query.detections), query.other)
-        refined = refine_detection(detections, other, self._classes[query.class_id])
+        refined = refine_detection(detections, other, self._classes()[query.class_id])
         return {
             pane: proposals.ImageSearchResult(mark, depth_m=refined.depth_m)
             for pane, mark in zip(panes, refined.proposed, strict=False)

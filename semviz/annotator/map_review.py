@@ -179,7 +179,6 @@ class MapWork:
         built, _ = build_map(
             labels,
             workspace.source,
-            classes=workspace.classes,
             on_progress=self._on_progress,
             poses=pose_errors(workspace),
         )

@@ -14,9 +14,8 @@ from semviz_annotation.labels.labels import (
     ReviewDecision,
     Row,
 )
-from semviz_annotation.labels.rows import row_elements
+from semviz_annotation.labels.rows import AttributeType, ClassDeclaration, row_elements
 from semviz_annotation.storage.store import Operation
-from semviz_core.base.classes import ClassSet
 
 VERBS = {
     "add": "Draw",
@@ -39,16 +38,17 @@ VERBS = {
     "set class of views": "Class of labels of",
     "note": "Note on",
     "delete note": "Delete a note on",
+    "set attribute": "Attribute of",
 }
 OF_SEVERAL = ("add many", "delete many", "import", "accept tracks", "reject tracks")
 """Kinds of operations that may change several elements at once."""
 
 
-def operation_view(operation: Operation, labels: Labels, classes: ClassSet) -> OperationView:
+def operation_view(operation: Operation, labels: Labels) -> OperationView:
     """Return one line of the history, and the frame it changed."""
     return OperationView(
         number=operation.number,
-        text=_describe(operation, labels, classes),
+        text=_describe(operation, labels),
         author=operation.author,
         time=operation.time,
         kind=operation.kind,
@@ -66,7 +66,7 @@ def frame_of(operation: Operation, labels: Labels) -> int | None:
     return rows[0].frame_index if rows else None
 
 
-def note_on(operation: Operation, labels: Labels, classes: ClassSet) -> str:
+def note_on(operation: Operation, labels: Labels) -> str:
     """Return a message about an operation; empty for most.
 
     It tells what a deletion removed and what is left, and what an undo could not restore.
@@ -74,14 +74,14 @@ def note_on(operation: Operation, labels: Labels, classes: ClassSet) -> str:
     if operation.kind == "undo" and operation.text:
         return f"Undone operation {operation.undoes}; left as it is: {operation.text}."
     if operation.kind in ("accept tracks", "reject tracks"):
-        return _note_on_tracks(operation, labels, classes)
+        return _note_on_tracks(operation, labels)
     if operation.kind == "re-snap":
         return _note_on_resnap(operation)
     if operation.kind not in ("delete", "delete element", "delete many"):
         return ""
     befores = [change.before for change in operation.changes]
     deleted = [row for row in befores if isinstance(row, Observation)]
-    subject = _subject(operation, labels, classes)
+    subject = _subject(operation, labels)
     left = len(labels.of_element(deleted[0].element_id)) if deleted else 0
     if left:
         return f"Deleted {subject}. {_count(left, 'view')} left. Ctrl Z brings it back."
@@ -90,12 +90,12 @@ def note_on(operation: Operation, labels: Labels, classes: ClassSet) -> str:
     return f"Deleted {subject} with {extent}. Ctrl Z brings all back."
 
 
-def _note_on_tracks(operation: Operation, labels: Labels, classes: ClassSet) -> str:
+def _note_on_tracks(operation: Operation, labels: Labels) -> str:
     """``Accepted P-26 in 9 frames. Ctrl Z undoes it.``, or how many tracks."""
     rows = [change.after for change in operation.changes]
     elements = [row for row in rows if isinstance(row, LabelElement)]
     frames = _count(len(frames_touched(operation)), "frame")
-    name = label_element_name(elements[0], classes)
+    name = label_element_name(elements[0], labels.classes)
     subject, them = (name, "it") if len(elements) == 1 else (f"{len(elements)} tracks", "them")
     if operation.kind == "accept tracks":
         return f"Accepted {subject} in {frames}. Ctrl Z undoes it."
@@ -146,7 +146,7 @@ def _rows(operation: Operation) -> Sequence[Row]:
     return [row for row in rows if row is not None]
 
 
-def _describe(operation: Operation, labels: Labels, classes: ClassSet) -> str:
+def _describe(operation: Operation, labels: Labels) -> str:
     if operation.undoes is not None:
         return f"Undo {operation.undoes}"
     if operation.redoes is not None:
@@ -162,26 +162,30 @@ def _describe(operation: Operation, labels: Labels, classes: ClassSet) -> str:
     if operation.kind in ("accept frame", "send back"):
         verb = "Accept" if operation.kind == "accept frame" else "Send back"
         return f"{verb} frame {frame_of(operation, labels)}"
+    if operation.kind in ("declare class", "remove class", "declare attribute"):
+        declared = (ClassDeclaration, AttributeType)
+        names = {row.name for row in _rows(operation) if isinstance(row, declared)}
+        return f"{operation.kind.capitalize()} {', '.join(sorted(names))}"
     if operation.kind == "restore":
         return f"Restore {operation.text}"
     if operation.kind == "judge":
-        return _describe_decisions(operation, labels, classes)
+        return _describe_decisions(operation, labels)
     verb = VERBS.get(operation.kind, operation.kind.capitalize())
     elements = {row.element_id for row in _rows(operation) if isinstance(row, Observation)}
     if operation.kind in OF_SEVERAL and len(elements) > 1:
         return f"{verb} {len(elements)} elements"
-    return f"{verb} {_subject(operation, labels, classes)}"
+    return f"{verb} {_subject(operation, labels)}"
 
 
-def _describe_decisions(operation: Operation, labels: Labels, classes: ClassSet) -> str:
+def _describe_decisions(operation: Operation, labels: Labels) -> str:
     """``P-03 and P-09 are apart``, or ``P-03 is apart from 5 others``."""
     rows = [row for row in _rows(operation) if isinstance(row, ReviewDecision)]
     decided = [set(row_elements(row)) for row in rows]
     elements, common = set().union(*decided), set.intersection(*decided)
-    names = _names(elements, labels, classes)
+    names = _names(elements, labels)
     match rows[0].verdict:
         case "apart" if len(rows) > 1 and len(common) == 1:
-            return f"{_names(common, labels, classes)} is apart from {len(elements) - 1} others"
+            return f"{_names(common, labels)} is apart from {len(elements) - 1} others"
         case "apart":
             return f"{names} are apart"
         case "keep":
@@ -190,11 +194,11 @@ def _describe_decisions(operation: Operation, labels: Labels, classes: ClassSet)
             return f"{names} left out of maps"
 
 
-def _names(element_ids: set[str], labels: Labels, classes: ClassSet) -> str:
+def _names(element_ids: set[str], labels: Labels) -> str:
     """``P-03, P-09 and P-12``, by number; deleted elements are left out."""
     elements = [labels.elements[id_] for id_ in element_ids if id_ in labels.elements]
     elements.sort(key=lambda element: element.number)
-    names = [label_element_name(element, classes) for element in elements]
+    names = [label_element_name(element, labels.classes) for element in elements]
     return " and ".join([", ".join(names[:-1]), *names[-1:]] if len(names) > 1 else names or ["It"])
 
 
@@ -203,14 +207,14 @@ def _review_state(operation: Operation) -> str:
     return after.state if isinstance(after, Review) else ""
 
 
-def _subject(operation: Operation, labels: Labels, classes: ClassSet) -> str:
+def _subject(operation: Operation, labels: Labels) -> str:
     """``P-04 left``: the element that an operation changed, and the image if it is only one."""
     rows = _rows(operation)
     changed = {row.id: row for row in rows if isinstance(row, LabelElement)}
     sides = {row.side for row in rows if isinstance(row, Observation | Dismissal)}
     ids = list(changed) or [id_ for row in rows for id_ in row_elements(row)]
     element = changed.get(ids[0]) or labels.elements.get(ids[0]) if ids else None
-    name = label_element_name(element, classes) if element is not None else "an element"
+    name = label_element_name(element, labels.classes) if element is not None else "an element"
     return f"{name} {sides.pop()}" if len(sides) == 1 else name
 
 

@@ -338,7 +338,7 @@ def _moved(stretch: PoseStretch) -> list[MovedElement]:
         moved.append(
             MovedElement(
                 id=element.id,
-                name=stretch.workspace.classes.element_name(element.class_id, element.number),
+                name=stretch.labels.classes.element_name(element.class_id, element.number),
                 class_id=element.class_id,
                 moved_m=round(move.moved_m, 3),
                 before_px=before,

@@ -146,7 +146,7 @@ def pose_marks(stretch: PoseStretch, frame: int) -> list[PoseMark]:
         marks.append(
             PoseMark(
                 id=element.id,
-                name=stretch.workspace.classes.element_name(element.class_id, element.number),
+                name=stretch.labels.classes.element_name(element.class_id, element.number),
                 class_id=element.class_id,
                 label=(row.anchor_px, row.end_px),
                 before=_ends(seen.given.ends_px(row)),

@@ -24,6 +24,7 @@ from semviz.workspace.people import People, Role
 from semviz.workspace.settings import login_name
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.assist.snap import warm_up
+from semviz_annotation.labels.own_classes import attribute_types
 from semviz_annotation.storage.label_file import Health, LabelFileError
 from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError
@@ -62,6 +63,7 @@ class Annotator:
         self._people_changed = threading.Event()
         self._sent_people: list[PersonView] = []
         self._sent_health: Health | None = None
+        self._sent_classes = self.session.classes, attribute_types(self.session.labels)
         self.session.map_work.refresh()
         self.pose_work = PoseWork(workspace, lambda: self.session.labels)
         self.pose_steps = PoseUndo()
@@ -144,6 +146,7 @@ class Annotator:
             with self.lock:
                 self.session.map_work.refresh()
             self._send_health()
+            self._follow_classes()
             self._follow_people()
             self._follow_poses()
             with contextlib.suppress(sqlite3.Error, LabelFileError):  # the pages know it
@@ -175,6 +178,16 @@ class Annotator:
         self._sent_people = views
         for page in self.pages:
             page.send_people(views)
+
+    def _follow_classes(self) -> None:
+        """Tell all pages which classes and attributes are declared, if that has changed."""
+        with contextlib.suppress(sqlite3.Error, LabelFileError), self.lock:
+            labels = self.session.labels
+            declared = labels.classes, attribute_types(labels)
+            if declared != self._sent_classes:
+                self._sent_classes = declared
+                for page in self.pages:
+                    page.restart()
 
     def _send_health(self) -> None:
         health = self.session.health()

@@ -46,6 +46,7 @@ from semviz_annotation.labels.views import camera_of
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_annotation.storage.label_file import Health
 from semviz_annotation.storage.store import EditBase, Operation
+from semviz_core.base.classes import ClassSet
 from semviz_core.base.frame import Frame
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.rig_cameras import cameras_by_frame
@@ -59,7 +60,6 @@ class LabelSession:
         self.author = author
         self.source = workspace.source
         self.rig = self.source.rig
-        self.classes = workspace.classes
         self.frames: Mapping[int, Frame] = {frame.index: frame for frame in self.source.frames}
         if not self.frames:
             raise SemvizError(f"{workspace.path}: the sequence has no frames")
@@ -76,7 +76,9 @@ class LabelSession:
         cameras = Cameras(self.rig, self.source.frames, cameras_by_frame(self.source))
         self._panes = Panes(cameras)
         self._positions = ElementPositions(cameras)
-        self.image_worker = ImageWorker(self.images, cameras, self.classes, self._triangle_center)
+        self.image_worker = ImageWorker(
+            self.images, cameras, lambda: self.classes, self._triangle_center
+        )
         self._snap = lru_cache(maxsize=8)(self.image_worker.snap)  # the preview is what gets saved
         self._drafts = draft.DraftEditor(cameras, self._panes, self._positions)
         self._aligners = track_edits.Aligners(cameras, self._positions, self.image_worker)
@@ -93,19 +95,19 @@ class LabelSession:
             cameras, self._panes, self._positions, self.image_worker, self._selection
         )
         self._quality = FrameQuality(tuple(self.frames), self._positions, self._selection)
-        self.history = HistoryView(self._store, self._panes, self.frames, self.classes)
+        self.history = HistoryView(self._store, self._panes, self.frames)
         self.tracks = SessionTracks(
             self._store,
-            TrackRows(tuple(self.frames), self._positions, self._quality, self.classes),
+            TrackRows(tuple(self.frames), self._positions, self._quality),
             self._reviews.tracks,
             self._selection,
             self._panes,
             cameras,
             self.image_worker,
         )
-        self.team = TeamWork(self._store, self._quality, self.classes, tuple(self.frames))
+        self.team = TeamWork(self._store, self._quality, tuple(self.frames))
         self.scene = SceneElements(lambda: self.labels, self._positions, self._reviews.tracks)
-        self._feed = UpdateFeed(self._store, self.classes, self._quality)
+        self._feed = UpdateFeed(self._store, self._quality)
         self._sent_map_version = self.map_work.version
         self._complete_version = self._sent_positions_version = self._positions.version
         """Versions of the positions when all were up to date, and when updates were sent last."""
@@ -119,6 +121,11 @@ class LabelSession:
     def labels(self) -> Labels:
         return self._store.labels
 
+    @property
+    def classes(self) -> ClassSet:
+        """The present classes: others may declare some meanwhile."""
+        return self.labels.classes
+
     # -- reading
 
     def health(self) -> Health:
@@ -126,12 +133,11 @@ class LabelSession:
         return self._store.health()
 
     def describe(self, author: str | None = None, role: Role = "review") -> WorkspaceView:
-        """Return what does not change while the page of ``author`` is open."""
-        author = author or self.author
-        return views.workspace_view(self.workspace, author, role, self._triangle_center)
+        """Return what seldom changes while the page of ``author`` is open."""
+        return views.workspace_view(self.workspace, author or self.author, role, self.labels)
 
     def summary(self) -> LabelsView:
-        """Return the state of the labels and all frames, without the marks of a frame."""
+        """Return the state of the labels and all frames, without marks."""
         return self._view(self.labels, only_updates=False)
 
     def has_updates(self) -> bool:
@@ -346,7 +352,7 @@ class LabelSession:
             element_id=element_ids[0] if has_element else None,
             frame=frame if frame in self.frames else None,
             added=operation_texts.observations_added(operation),
-            note=operation_texts.note_on(operation, self.labels, self.classes),
+            note=operation_texts.note_on(operation, self.labels),
         )
 
     # -- drafts
@@ -378,8 +384,7 @@ class LabelSession:
         )
 
     def _below(self, drawn: Observation, class_id: int) -> LabelBelow | None:
-        """Return the label that a drawing lies on."""
-        return label_below(drawn, self.classes[class_id].kind == "line", self.labels, self.classes)
+        return label_below(drawn, self.classes[class_id].kind == "line", self.labels)
 
     def _snapped(
         self, drawing: draft.ElementDraft, frame_index: int, selected: SelectedElement | None
@@ -413,14 +418,9 @@ class LabelSession:
         observation = self._drafts.observation(drawing, frame_index)
         pane = self._panes.pane(frame_index, drawing.side)
         proposals = self._selection.proposals(frame_index, labels)
+        here = [proposal for proposal in proposals if proposal.pane == pane]
         return associate_draft(
-            observation,
-            drawing.class_id,
-            selected,
-            [proposal for proposal in proposals if proposal.pane == pane],
-            labels,
-            self._positions,
-            self.classes,
+            observation, drawing.class_id, selected, here, labels, self._positions
         )
 
     def _view(self, labels: Labels, only_updates: bool) -> LabelsView:

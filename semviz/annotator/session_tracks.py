@@ -57,7 +57,6 @@ class SessionTracks:
         inspector = track_details.TrackInspector(
             cameras=self.cameras,
             positions=self.rows.positions,
-            classes=self.rows.classes,
             labels=labels,
             end=end,
             mapped=dict(self.rows.positions.mapped(labels)),

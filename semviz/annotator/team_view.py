@@ -17,7 +17,6 @@ from semviz_annotation.labels.rows import REVIEWED
 from semviz_annotation.storage.operations import Writer
 from semviz_annotation.storage.store import LabelStore
 from semviz_annotation.storage.teamwork import AssignedFrames
-from semviz_core.base.classes import ClassSet
 from semviz_core.common.errors import SemvizError
 
 QueueState: TypeAlias = Literal["waiting", "sent back", "accepted"]
@@ -104,7 +103,6 @@ class TeamWork:
 
     store: LabelStore
     quality: FrameQuality
-    classes: ClassSet
     order: tuple[int, ...]
     """Indices of frames."""
 
@@ -155,7 +153,7 @@ class TeamWork:
             ElementNote(
                 **note_view(note).model_dump(),
                 element=element_id,
-                name=label_element_name(labels.elements[element_id], self.classes),
+                name=label_element_name(labels.elements[element_id], labels.classes),
             )
             for element_id in sorted(elements)
             for note in labels.notes_of(element_id)
@@ -180,7 +178,7 @@ class TeamWork:
         facts = self.quality.of(index)
         worst = None if facts is None else labels.elements.get(facts.worst_id or "")
         if facts is not None and worst is not None and facts.worst_px > STANDS_OUT_PX:
-            return f"{label_element_name(worst, self.classes)}: residual {facts.worst_px:.1f} px"
+            return f"{label_element_name(worst, labels.classes)}: residual {facts.worst_px:.1f} px"
         if labels.review(index) == "reviewed, empty":
             return "reviewed, empty"
         return f"under {FEW_ELEMENTS} elements" if elements < FEW_ELEMENTS else ""

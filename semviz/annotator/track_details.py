@@ -24,7 +24,6 @@ from semviz_annotation.labels.views import camera_of
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_annotation.storage.operations import LogEnd, Writer
 from semviz_annotation.storage.placement import is_accepted
-from semviz_core.base.classes import ClassSet
 from semviz_core.base.frame import Side
 
 SUSPECT_PX = 2.0
@@ -128,7 +127,6 @@ class TrackInspector:
 
     cameras: Cameras
     positions: ElementPositions
-    classes: ClassSet
     labels: Labels
     end: LogEnd
     mapped: Mapping[str, Triangulated]
@@ -181,7 +179,7 @@ class TrackInspector:
         if not offers:
             return None
         away_m, nearest = min(offers, key=lambda offer: offer[0])
-        ref = element_ref(nearest, self.classes).model_dump()
+        ref = element_ref(nearest, self.labels.classes).model_dump()
         return MergeOffer(**ref, away_m=round(away_m, 2))
 
 

@@ -14,12 +14,11 @@ import numpy as np
 from semviz.annotator.detection_tracks import DetectionTrack, OpenTracks
 from semviz.annotator.element_positions import ElementPositions, Position
 from semviz.annotator.frame_quality import FrameQuality, residual_px
-from semviz.annotator.views import ElementRef, element_ref
+from semviz.annotator.views import ElementRef, attribute_values, element_ref
 from semviz.web.protocol import Part
 from semviz_annotation.labels.labels import Dismissal, LabelElement, Labels, Note, Observation
-from semviz_annotation.labels.rows import SharedDict
+from semviz_annotation.labels.shared_dict import SharedDict
 from semviz_annotation.mapping.placement.triangulation import Triangulated
-from semviz_core.base.classes import ClassSet
 from semviz_core.base.frame import Side
 
 NOTHING, PROPOSED, REJECTED, HIDDEN, ABSENT, UNPLACED = -1, -2, -3, -4, -5, -6
@@ -62,6 +61,7 @@ class TrackRow(ElementRef):
     """Whether an open track may be accepted with others."""
     left_out: bool
     notes: list[NoteView]
+    attributes: dict[str, str]
 
 
 class TrackFrame(Part):
@@ -102,7 +102,6 @@ class TrackRows:
     """Indices of frames."""
     positions: ElementPositions
     quality: FrameQuality
-    classes: ClassSet
     wanted: bool = False
     """Whether any page has asked for rows: until then none is computed."""
     _labels: Labels = field(default_factory=Labels)
@@ -214,7 +213,7 @@ class TrackRows:
             cells[self._rank[row.frame_index], row.side] = code
         first, left, right = _arrays(cells)
         return TrackRow(
-            **element_ref(element, self.classes).model_dump(),
+            **element_ref(element, labels.classes).model_dump(),
             number=element.number,
             first=first,
             left=left,
@@ -225,6 +224,7 @@ class TrackRows:
             sure=False,
             left_out=labels.is_left_out(element.id),
             notes=[note_view(note) for note in labels.notes_of(element.id)],
+            attributes=attribute_values(labels, element.id),
         )
 
     def _dismissed(self, dismissals: Iterable[Dismissal]) -> Iterable[tuple[tuple[int, Side], int]]:
@@ -253,6 +253,7 @@ class TrackRows:
             sure=track.is_sure,
             left_out=False,
             notes=[],
+            attributes={},
         )
 
 
@@ -284,6 +285,7 @@ def _gone(element_id: str) -> TrackRow:
         sure=False,
         left_out=False,
         notes=[],
+        attributes={},
     )
 
 

@@ -3,6 +3,7 @@
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 
 from semviz.annotator.association import NearbyElement
 from semviz.annotator.detector_proposals import Disagreement
@@ -19,8 +20,9 @@ from semviz_annotation.labels.labels import (
     Pixel,
     ReviewState,
 )
-from semviz_annotation.labels.rows import row_elements
-from semviz_core.base.classes import ClassSet, ElementClass, TriangleCenter
+from semviz_annotation.labels.own_classes import attribute_types, class_keys
+from semviz_annotation.labels.rows import AttributeType, row_elements
+from semviz_core.base.classes import ClassSet, ClassShape, Kind, TriangleCenter
 from semviz_core.base.frame import Side
 from semviz_core.datasets.rig_cameras import camera_names
 
@@ -61,6 +63,7 @@ class ElementView(ElementRef):
     review_decisions: list[ReviewDecisionView]
     left_out: bool
     """Whether a person decided that no map has it: it is drawn only while it is selected."""
+    attributes: dict[str, str]
 
 
 class NearbyView(ElementRef):
@@ -128,6 +131,19 @@ class LabelsView(Part):
     """All frames; in an update, the changed ones."""
 
 
+class KeyedClass(Part):
+    """A class, and the key that chooses it; empty for none."""
+
+    id: int
+    name: str
+    kind: Kind
+    letter: str
+    shape: ClassShape
+    color: str
+    color_light: str
+    key: str
+
+
 class WorkspaceView(Part):
     """What does not change while the page is open."""
 
@@ -138,7 +154,9 @@ class WorkspaceView(Part):
     author: str
     """Whose page it is."""
     role: Role
-    classes: list[ElementClass]
+    classes: list[KeyedClass]
+    attribute_types: list[AttributeType]
+    """What is declared of attributes; others are texts."""
     triangle_center: TriangleCenter
     """What the point of a triangular sign is."""
     images: dict[Side, ImageSize]
@@ -148,8 +166,15 @@ class WorkspaceView(Part):
 
 
 def label_element_name(element: LabelElement, classes: ClassSet) -> str:
-    """Return an element's name, for example ``P-04``."""
+    """Return an element's name, for example ``P-04``; ``?-04`` if its class was removed since."""
+    if element.class_id not in classes:
+        return f"?-{element.number:02d}"
     return classes.element_name(element.class_id, element.number)
+
+
+def attribute_values(labels: Labels, element_id: str) -> dict[str, str]:
+    """Return the attributes of an element, by name."""
+    return {row.name: row.value for row in labels.attributes_of(element_id)}
 
 
 def element_ref(element: LabelElement, classes: ClassSet) -> ElementRef:
@@ -186,6 +211,7 @@ def element_views(
             views=len(labels.of_element(element.id)),
             review_decisions=_review_decision_views(element, labels, classes),
             left_out=labels.is_left_out(element.id),
+            attributes=attribute_values(labels, element.id),
         )
         for element in elements
     ]
@@ -256,20 +282,22 @@ def observation_view(row: Observation) -> ObservationView:
     )
 
 
-def workspace_view(
-    workspace: Workspace, author: str, role: Role, center: TriangleCenter
-) -> WorkspaceView:
+def workspace_view(workspace: Workspace, author: str, role: Role, labels: Labels) -> WorkspaceView:
     """Return what does not change while the page of a workspace is open."""
     rig = workspace.source.rig
     right = rig.right or rig.left
+    keys = class_keys(labels)
     return WorkspaceView(
         name=workspace.name,
         key=hashlib.sha256(str(workspace.path.resolve()).encode()).hexdigest()[:16],
         source=workspace.source.map_frame.name,
         author=author,
         role=role,
-        classes=list(workspace.classes),
-        triangle_center=center,
+        classes=[
+            KeyedClass(**asdict(class_), key=keys.get(class_.id, "")) for class_ in labels.classes
+        ],
+        attribute_types=list(attribute_types(labels).values()),
+        triangle_center=labels.triangle_center,
         images={
             "left": ImageSize(width=rig.left.width, height=rig.left.height),
             "right": ImageSize(width=right.width, height=right.height),

@@ -64,6 +64,7 @@ class DetectCommand:
         from semviz.presentation.terminal import announce_compiling
         from semviz.workspace.detect import DetectOptions, detect_images, images_of
         from semviz.workspace.outputs import PARQUET, check_outputs
+        from semviz_core.base.classes import DEFAULT_CLASSES
         from semviz_core.detection.detector import load_detector
 
         workspace = parsing.open_workspace(self.workspace)
@@ -80,6 +81,9 @@ class DetectCommand:
             said = {"path": str(workspace.proposals_path), "proposals": len(proposals)}
             print(json.dumps(said | {"images": len(images), "median_ms": stages_ms}))
             return 0
+        own = [class_.name for class_ in workspace.classes if class_.id not in DEFAULT_CLASSES]
+        if own:
+            print(f"the detector does not know {', '.join(own)}: label these by hand")
         print(f"{workspace.proposals_path}: {_summary(proposals, workspace)}")
         if stages_ms:
             stages = [f"{stage} {ms:.0f} ms" for stage, ms in stages_ms.items()]

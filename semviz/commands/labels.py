@@ -102,7 +102,7 @@ class LabelsExportCommand:
 
         if self.side is not None:
             raise SemvizError("--side: the log holds both sides; leave the option out")
-        with LabelStore.open(workspace.labels_path, workspace.classes) as store:  # needs no images
+        with LabelStore.open(workspace.labels_path) as store:  # needs no images
             export_operations(store, self.file)
             _print_operations(self.file, store.last_operation, self.json)
         return 0

@@ -127,6 +127,14 @@ class LocalizeCommand:
         )
         for note in measured.notes(localization.frames):
             print(note, file=sys.stderr)
+        mapped = set(localization.semantic_map.elements.class_id.tolist())
+        untrained = localization.localizer.untrained_classes
+        if names := [class_.name for class_ in untrained if class_.id in mapped]:
+            print(
+                f"{self.method}: its network was not trained for {', '.join(names)}; it takes "
+                "lines for poles and points for rectangular signs",
+                file=sys.stderr,
+            )
         chosen = localize.select_frames(workspace.source, frames, self.camera)
         if left_out := len(chosen) - len(localization.frames):
             print(f"{left_out} frames without a pose are left out", file=sys.stderr)

@@ -139,7 +139,7 @@ class Decisions:
     def _open_labels(self) -> LabelStore:
         if self._workspace is None:
             raise SemvizError(self._note())
-        return LabelStore.open(self._workspace.labels_path, self._workspace.classes)
+        return LabelStore.open(self._workspace.labels_path)
 
     def _note(self) -> str:
         """Return where answers are saved, as a sentence."""

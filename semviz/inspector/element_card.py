@@ -127,7 +127,7 @@ class Origins:
     def _store(self) -> LabelStore | None:
         if self.workspace is None:
             return None
-        store = LabelStore.open(self.workspace.labels_path, self.workspace.classes)
+        store = LabelStore.open(self.workspace.labels_path)
         weakref.finalize(self, store.close)
         return store
 

@@ -77,7 +77,7 @@ def _encode(value: Any, hint: Any, parts: dict[str, list[NDArray[Any]]]) -> Any:
             return list(value.shape)
         case "tuple", inner:
             return [_encode(item, inner, parts) for item in value]
-        case "dict", inner:
+        case (("dict" | "numbered"), inner):
             return {key: _encode(item, inner, parts) for key, item in value.items()}
         case "float", _:
             return float(value) if math.isfinite(value) else str(float(value))  # JSON has no NaN
@@ -100,6 +100,8 @@ def _decode(node: Any, hint: Any, pools: _PoolReader) -> Any:
             return tuple(_decode(item, inner, pools) for item in node)
         case "dict", inner:
             return {key: _decode(item, inner, pools) for key, item in node.items()}
+        case "numbered", inner:  # JSON makes texts of numbers that are keys
+            return {int(key): _decode(item, inner, pools) for key, item in node.items()}
         case "float", _:
             return float(node)
         case _:
@@ -123,7 +125,7 @@ def _kind(hint: Any) -> tuple[str, Any]:
     if origin is tuple and len({item for item in inner if item is not Ellipsis}) == 1:
         return "tuple", inner[0]
     if origin in (dict, Mapping):
-        return "dict", inner[1]
+        return "numbered" if inner[0] is int else "dict", inner[1]
     if hint is float:
         return "float", None
     if hint in (int, str, bool):

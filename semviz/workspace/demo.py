@@ -21,7 +21,7 @@ from semviz.workspace import localize
 from semviz.workspace.observations import observe_simulated
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.assist.marked_image import Mark
-from semviz_annotation.label_formats.exchange import ImportLabels
+from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.labels.rows import LabelElement, Observation, derived_id
 from semviz_annotation.mapping.build import BuildOptions, build_map
 from semviz_core.base.frame import Frame, Prior, Side

@@ -185,7 +185,7 @@ class PoseStretch:
         ]
         elements = [self.labels.element(id_) for id_ in {row.element_id for row in rows}]
         return tuple(
-            self.workspace.classes.element_name(element.class_id, element.number)
+            self.labels.classes.element_name(element.class_id, element.number)
             for element in sorted(elements, key=lambda element: element.number)
             if sum(row.frame_index not in inside for row in self.labels.of_element(element.id)) < 2
         )

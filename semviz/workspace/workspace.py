@@ -50,7 +50,7 @@ from semviz.workspace.settings import (
     settings_content,
 )
 from semviz_core.base.camera import Rig
-from semviz_core.base.classes import DEFAULT_CLASSES, NEW_CENTER, ClassSet, TriangleCenter
+from semviz_core.base.classes import NEW_CENTER, ClassSet, TriangleCenter
 from semviz_core.base.frame import Dataset, FileDataset
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.base.semantic_map import MapFrame, SemanticMap
@@ -76,8 +76,7 @@ TRUTH = "truth"
 class Workspace:
     """A workspace folder; get one from ``open`` or ``create_...``, which raise SemvizError.
 
-    Opening reads ``semviz.toml`` only; ``source`` looks for the images on first use.
-    """
+    Opening reads ``semviz.toml`` only; ``source`` looks for the images on first use."""
 
     def __init__(self, path: Path, settings: Settings) -> None:
         self.path = path
@@ -222,7 +221,9 @@ class Workspace:
 
     @property
     def classes(self) -> ClassSet:
-        return DEFAULT_CLASSES
+        from semviz_annotation.storage.declarations import read_classes
+
+        return read_classes(self.labels_path)
 
     @cached_property
     def source(self) -> Dataset:
@@ -274,7 +275,6 @@ class Workspace:
 
     @property
     def proposals_path(self) -> Path:
-        """Proposals of 'semviz detect' and 'semviz labels propose'."""
         return self.path / "proposals.parquet"
 
     def map_path(self, name: str) -> Path:
@@ -332,7 +332,7 @@ class Workspace:
 
         rig = self.source.rig
         center = NEW_CENTER if self.labels_path.exists() else self._center_of_proposals
-        store = LabelStore.open(self.labels_path, self.classes, rig, center)
+        store = LabelStore.open(self.labels_path, rig, center)
         if self.settings.calibration is None:
             self._keep_calibration(rig)
         return store
@@ -344,7 +344,7 @@ class Workspace:
 
         if not self.labels_path.exists():
             return Labels(triangle_center=self._center_of_proposals)
-        with LabelStore.open(self.labels_path, self.classes) as store:
+        with LabelStore.open(self.labels_path) as store:
             return store.labels
 
     @property
@@ -445,6 +445,6 @@ def _checked_name(name: str) -> str:
 
 
 def _names(folder: Path, suffix: str) -> tuple[str, ...]:
-    files = (file for file in folder.glob(f"*{suffix}") if not file.name.startswith("."))
-    ordered = sorted(files, key=lambda file: (file.stat().st_mtime_ns, file.name))
-    return tuple(file.stem for file in ordered)
+    files = [file for file in folder.glob(f"*{suffix}") if not file.name.startswith(".")]
+    files.sort(key=lambda file: (file.stat().st_mtime_ns, file.name))
+    return tuple(file.stem for file in files)

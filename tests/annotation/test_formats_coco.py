@@ -8,8 +8,8 @@ import pytest
 from label_files import FRAMES, RULES
 
 from semviz_annotation.label_formats.coco import read_coco
-from semviz_annotation.label_formats.exchange import plan_import
 from semviz_annotation.label_formats.import_context import LabelImportContext
+from semviz_annotation.label_formats.import_plan import plan_import
 from semviz_annotation.label_formats.reading import ParsedLabels
 from semviz_annotation.labels.labels import Labels
 from semviz_core.common.errors import SemvizError
@@ -55,10 +55,10 @@ def test_annotations(tmp_path: Path) -> None:
     assert (sign.anchor_px, sign.end_px) == ((7.5, 8.5), None)
     assert (boxed.class_id, boxed.anchor_px) == (1, (20.0, 40.0))
     assert found.dropped == {
-        "'segmentation': the keypoints count": 1,
+        "'segmentation': no polygons; the keypoints count": 1,
         "shapes of class 'person': ignored, as asked": 1,
-        "width and height of boxes: a sign is its middle": 1,
     }
+    assert boxed.outline == ("box", ((10.0, 20.0), (30.0, 60.0)))
 
 
 def test_keypoints_are_told_by_name_not_by_place(tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ from defusedxml import ElementTree
 from label_files import FRAMES, RIG, RULES, labels_of, pole
 
 from semviz_annotation.label_formats.cvat import read_cvat, write_cvat, write_cvat_video
-from semviz_annotation.label_formats.exchange import plan_import
 from semviz_annotation.label_formats.import_context import LabelImportContext
+from semviz_annotation.label_formats.import_plan import plan_import
 from semviz_annotation.label_formats.reading import MOST_XML_BYTES, ParsedLabels
 from semviz_annotation.label_formats.writing import LabelExportContext
 from semviz_annotation.labels.labels import Labels
@@ -56,10 +56,8 @@ def test_images(tmp_path: Path) -> None:
     assert (first.end_known, fourth.end_known, fourth.anchor_known) == (True, False, True)
     assert found.images == 3
     assert found.dropped == {
-        "attribute 'colour': not known here": 1,
         "z_order: not known here": 1,
         "occluded on a sign: not known here": 1,
-        "width and height of boxes: a sign is its middle": 1,
         "inner points of lines: a pole is its peak and its bottom": 1,
     }
 

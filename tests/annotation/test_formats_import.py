@@ -10,13 +10,12 @@ from label_files import FRAMES, RIG, RULES, labels_of, pole, store_of, street
 from semviz import cli
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.label_formats.exchange import (
-    ImportLabels,
     export_labels,
     guess_format,
     import_labels,
-    plan_import,
 )
 from semviz_annotation.label_formats.import_context import LabelImportContext
+from semviz_annotation.label_formats.import_plan import ImportLabels, plan_import
 from semviz_annotation.label_formats.reading import (
     ParsedObservation,
     parse_class_map,

@@ -62,8 +62,8 @@ def test_shapes(tmp_path: Path) -> None:
         "imageData: the images stay where they are",
         "inner points of lines: a pole is its peak and its bottom",
         "mask: neither line, point, box nor polygon",
-        "width and height of boxes: a sign is its middle",
     ]
+    assert triangle.outline == ("box", ((10.0, 20.0), (30.0, 60.0)))
 
 
 def test_a_group_is_an_element_over_the_files_of_a_folder(tmp_path: Path) -> None:

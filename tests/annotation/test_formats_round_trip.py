@@ -10,13 +10,9 @@ from label_files import FRAMES, RIG, RULES, any_labels, said, store_of, street
 
 from semviz_annotation.label_formats.coco import read_coco, write_coco
 from semviz_annotation.label_formats.cvat import read_cvat, write_cvat, write_cvat_video
-from semviz_annotation.label_formats.exchange import (
-    ImportLabels,
-    export_labels,
-    import_labels,
-    plan_import,
-)
+from semviz_annotation.label_formats.exchange import export_labels, import_labels
 from semviz_annotation.label_formats.import_context import LabelImportContext
+from semviz_annotation.label_formats.import_plan import ImportLabels, plan_import
 from semviz_annotation.label_formats.labelme import read_labelme, write_labelme
 from semviz_annotation.label_formats.reading import (
     ParsedLabels,

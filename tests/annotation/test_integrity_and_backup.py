@@ -138,7 +138,7 @@ def test_a_last_operation_that_is_missing_shows_in_the_tables(file):
         ("CREATE TRIGGER t AFTER INSERT ON reviews BEGIN SELECT 1; END", "were altered: t"),
         ("ALTER TABLE elements ADD COLUMN more", "its tables were altered: elements"),
         ("PRAGMA application_id = 3", "a SQLite file, but not labels"),
-        ("PRAGMA user_version = 9", "labels of version 9, this semviz reads up to 6"),
+        ("PRAGMA user_version = 9", "labels of version 9, this semviz reads up to 8"),
     ],
 )
 def test_every_planted_fault_is_found(file, statement, words):

@@ -160,7 +160,8 @@ def test_files_without_notes_are_upgraded_and_their_log_stays(path: Path) -> Non
             store.apply(track()[1], "ann")
             operations = store.operations()
         with sqlite3.connect(file) as connection:
-            connection.execute("DROP TABLE notes")
+            for table in ("notes", "declarations", "attribute_types", "attributes", "outlines"):
+                connection.execute(f"DROP TABLE {table}")
             connection.execute(f"PRAGMA user_version = {old}")
         assert check_labels(file).operations == 1
         with LabelStore.open(file) as store:

@@ -106,7 +106,7 @@ def test_a_log_of_version_1_gives_the_same_store(log, tmp_path):
         export_operations(store, tmp_path / "new.jsonl")
     again, first = ((tmp_path / name).read_text().split("\n") for name in ("new.jsonl", log.name))
     assert again[1:] == first[1:]
-    assert '"version": 5, "triangle_center": "box"' in again[0]
+    assert '"version": 7, "triangle_center": "box"' in again[0]
 
 
 def test_review_decisions_are_in_the_log_too(tmp_path):
@@ -157,7 +157,7 @@ def test_an_altered_line_is_named(log, tmp_path, line):
     [
         (1, lambda line: "{}", "not a log of label operations"),
         (1, lambda line: "[]", "not a log"),
-        (1, lambda line: changed(line, version=7), "version 7, this semviz reads up to 6"),
+        (1, lambda line: changed(line, version=9), "version 9, this semviz reads up to 8"),
         (3, lambda line: line[:-10], "line 3: Invalid JSON"),
         (4, lambda line: "", "line 4: Invalid JSON"),
         (4, lambda line: changed(line, number=9), "line 4: number 9 where 3 follows"),

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from semviz_annotation.labels.rows import SharedDict
+from semviz_annotation.labels.shared_dict import SharedDict
 
 KEYS = st.integers(0, 600) | st.text(max_size=2)
 STEPS = st.lists(st.tuples(KEYS, st.none() | st.integers()), max_size=60)

@@ -258,7 +258,7 @@ def test_what_is_not_a_label_file_is_named(tmp_path, path):
     LabelStore.open(path).close()
     with sqlite3.connect(path) as other:
         other.execute("PRAGMA user_version = 99")
-    with pytest.raises(SemvizError, match="labels of version 99, this semviz reads up to 6"):
+    with pytest.raises(SemvizError, match="labels of version 99, this semviz reads up to 8"):
         LabelStore.open(path)
     assert text.read_text().startswith("poles and signs")
 

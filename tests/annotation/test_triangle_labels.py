@@ -71,7 +71,7 @@ def old_file(path: Path) -> Path:
     """A label file as it was before there was a choice, with one triangle."""
     with LabelStore.open(path, triangle_center="box") as store:
         store.apply(triangle(), "ann")
-    assert version_of(path) == (5, [])
+    assert version_of(path) == (7, [])
     return path
 
 
@@ -87,7 +87,7 @@ def test_an_old_file_is_of_the_box_and_nothing_moves(tmp_path: Path) -> None:
         first = next(iter(before.observations.values()))
         assert store.labels.observations[first.id] == first
         assert store.labels.triangle_center == "box"
-    assert version_of(path)[0] == 5
+    assert version_of(path)[0] == 7
 
 
 def test_a_new_file_follows_the_centroid_and_older_programs_refuse_it(tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ def test_a_new_file_follows_the_centroid_and_older_programs_refuse_it(tmp_path: 
         store.undo("ann")
         assert store.labels_at(0).triangle_center == "centroid"
         assert store.labels.without_left_out().triangle_center == "centroid"
-    assert version_of(path) == (6, [("triangle centroid", 1)])
+    assert version_of(path) == (8, [("triangle centroid", 1)])
 
 
 def test_a_log_carries_it_and_two_are_not_mixed(tmp_path: Path) -> None:
@@ -132,7 +132,7 @@ def test_a_longer_log_of_the_other_definition_is_refused(tmp_path: Path) -> None
         export_operations(store, tmp_path / "long.jsonl")
     text = (tmp_path / "long.jsonl").read_text()
     forged = text.replace('"triangle_center": "centroid"', '"triangle_center": "box"')
-    forged = forged.replace('"version": 6', '"version": 5')
+    forged = forged.replace('"version": 8', '"version": 7')
     (tmp_path / "forged.jsonl").write_text(forged)
     with LabelStore.open(tmp_path / "b.db") as store:
         import_operations(tmp_path / "short.jsonl", store)
@@ -148,7 +148,7 @@ def test_a_backup_brings_its_definition_back(tmp_path: Path) -> None:
         live.apply(triangle(), "bea")
         restore_labels(tmp_path / "live.db", tmp_path / "copy.db")
         assert live.labels.triangle_center == "box"
-    assert version_of(tmp_path / "live.db")[0] == 5
+    assert version_of(tmp_path / "live.db")[0] == 7
 
 
 def test_the_shipped_labels_of_kitti_02_are_of_the_box(tmp_path: Path) -> None:
@@ -335,7 +335,7 @@ def test_the_version_of_a_log_tells_its_triangles(tmp_path: Path) -> None:
     (tmp_path / "silent.jsonl").write_text(text.replace(says, ""))
     (tmp_path / "forged.jsonl").write_text(text.replace(says, says.replace("centroid", "box")))
     with LabelStore.open(tmp_path / "b.db") as store:
-        with pytest.raises(SemvizError, match="line 1: a log of version 6"):
+        with pytest.raises(SemvizError, match="line 1: a log of version 8"):
             import_operations(tmp_path / "forged.jsonl", store)
         assert store.last_operation == 0
         import_operations(tmp_path / "silent.jsonl", store)
@@ -345,7 +345,7 @@ def test_the_version_of_a_log_tells_its_triangles(tmp_path: Path) -> None:
 DELETED = "DELETE FROM counters WHERE name = 'triangle centroid'"
 
 
-@pytest.mark.parametrize("fault", [DELETED, "PRAGMA user_version = 5"])
+@pytest.mark.parametrize("fault", [DELETED, "PRAGMA user_version = 7"])
 def test_a_file_whose_version_contradicts_its_triangles_is_refused(
     tmp_path: Path, fault: str
 ) -> None:

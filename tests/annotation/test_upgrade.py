@@ -184,7 +184,8 @@ def without_decisions(known: LabelStore, tmp_path: Path) -> Path:
     backup_labels(known.path, path)
     with sqlite3.connect(path) as connection:
         connection.execute("DROP TABLE judgements")
-        connection.execute("DROP TABLE notes")
+        for table in ("notes", "declarations", "attribute_types", "attributes", "outlines"):
+            connection.execute(f"DROP TABLE {table}")
         connection.execute("PRAGMA user_version = 2")
     return path
 

@@ -20,7 +20,7 @@ from semviz.annotator.proposals import ImageSearchResult, LabelProposal, Origin
 from semviz.annotator.session import LabelSession
 from semviz.annotator.views import FrameSummary
 from semviz_annotation.assist.marked_image import Mark, ProposedMark
-from semviz_annotation.label_formats.exchange import ImportLabels
+from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.labels.detections import as_proposals
 from semviz_annotation.labels.edits import ReviewFrame
 from semviz_annotation.labels.labels import Labels, Observation, new_id

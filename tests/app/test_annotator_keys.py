@@ -12,7 +12,7 @@ from journeys.driver import RECTANGULAR, TRIANGULAR, LabelDriver
 from streets import street_workspace
 
 from semviz.workspace.workspace import Workspace
-from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet, ElementClass
+from semviz_annotation.labels.class_looks import ClassLook, new_class
 
 if TYPE_CHECKING:
     from playwright.sync_api import Locator, Page
@@ -126,13 +126,10 @@ def test_every_command_is_in_the_help_and_in_the_palette(driver: LabelDriver) ->
     page.wait_for_selector('.tile[data-frame="0"][title*="reviewed, empty"]')
 
 
-def test_class_keys_follow_the_classes_of_the_workspace(
-    workspace: Workspace, page: "Page", monkeypatch: pytest.MonkeyPatch
-) -> None:
-    gate = ElementClass(4, "gantry", "line", "G", "pentagon", "#FFFFFF", "#111111")
-    lamp = ElementClass(5, "lamp", "point", "L", "diamond", "#FF7A1A", "#C94A08")
-    classes = ClassSet((*DEFAULT_CLASSES, gate, lamp))
-    monkeypatch.setattr(Workspace, "classes", property(lambda _: classes))
+def test_class_keys_follow_the_classes_of_the_workspace(workspace: Workspace, page: "Page") -> None:
+    with workspace.open_labels() as store:
+        store.apply(new_class(store.labels, 4, "gantry", "line", ClassLook()), "ann")
+        store.apply(new_class(store.labels, 5, "lamp", "point", ClassLook()), "ann")
     with annotating(workspace) as served:
         driver = LabelDriver(page)
         driver.open(served.url)
@@ -143,8 +140,8 @@ def test_class_keys_follow_the_classes_of_the_workspace(
         driver.press_and_save("Shift+Digit2")
         assert [element.class_id for element in served.labels.elements.values()] == [TRIANGULAR]
         page.keyboard.press("?")
-        keys = help_row(page, "Class of the selected sign").locator("kbd").all_inner_texts()
-        assert keys == ["Shift", "2", "3", "4", "6"]
+        keys = help_row(page, "Class of the selected element").locator("kbd").all_inner_texts()
+        assert keys == ["Shift", "1", "2", "3", "4", "5", "6"]
         page.goto("about:blank")
 
 

@@ -21,7 +21,7 @@ from semviz.annotator.track_edits import AlignLabelsEdit
 from semviz.annotator.views import FrameSummary
 from semviz_annotation.assist.marked_image import Mark
 from semviz_annotation.assist.snap import snap
-from semviz_annotation.label_formats.exchange import ImportLabels
+from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.labels.labels import LabelElement, new_id
 from semviz_annotation.labels.proposal import Proposal
 from semviz_annotation.labels.proposals import Proposals, save_proposals

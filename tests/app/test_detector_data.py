@@ -9,7 +9,7 @@ from support.street_labels import careful, label_street
 
 from semviz.research.workspace_data import WorkspaceImages, workspace_images
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.label_formats.exchange import ImportLabels
+from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.labels.edits import DecideElements, Dismiss, ReviewFrame
 from semviz_annotation.labels.labels import Dismissal, proposal_id
 from semviz_annotation.labels.rows import review_decision

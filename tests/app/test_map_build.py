@@ -8,7 +8,7 @@ from command_line import call
 from support.street_labels import label_street
 
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.label_formats.exchange import ImportLabels
+from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_core.base.map_file import load_map
 from semviz_core.simulation.detector import SimulatedDetector
 from semviz_core.simulation.layout import StreetOptions

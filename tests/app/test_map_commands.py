@@ -13,7 +13,7 @@ from command_line import call
 from support.street_labels import careful, label_street
 
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.label_formats.exchange import ImportLabels
+from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.labels.edits import DeleteObservation, MoveObservation
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.mapping.quality.check import FINDINGS_LISTED

@@ -11,7 +11,7 @@ from semviz.runs.reader import load_run
 from semviz.workspace.observations import observe_detected, read_detections, read_labels_of
 from semviz.workspace.rebuild import rebuild_run
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.label_formats.exchange import ImportLabels
+from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.labels.detections import as_proposals
 from semviz_annotation.labels.edits import DecideElements
 from semviz_annotation.labels.labels import LabelElement, Labels

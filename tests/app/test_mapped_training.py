@@ -9,7 +9,7 @@ from support.street_labels import careful, label_street
 from semviz.research.mapped_elements import MOST_BETWEEN, bridged, mapped_sides
 from semviz.research.workspace_data import workspace_images
 from semviz.workspace.workspace import TRUTH, Workspace
-from semviz_annotation.label_formats.exchange import ImportLabels
+from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.mapping.quality.label_links import observe
 from semviz_core.common.errors import SemvizError
 

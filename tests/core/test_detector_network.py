@@ -275,7 +275,7 @@ def test_images_of_each_kind_come_in_turn() -> None:
     ("weights", "told"),
     [
         (NetworkWeights("verifier", {"classes": []}, {}), "weights of verifier"),
-        (NetworkWeights("detector", {"classes": ["pole"]}, {}), "trained for the classes pole"),
+        (NetworkWeights("detector", {"classes": ["lamp"]}, {}), "trained for the classes lamp"),
         (
             NetworkWeights(
                 "detector", {"classes": [class_.name for class_ in DEFAULT_CLASSES]}, {}

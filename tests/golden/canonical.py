@@ -14,6 +14,9 @@ MASKED_FIELDS = frozenset({"time_ms", "version", "created", "made_by"})
 """Fields of recorded classes with times, versions or durations. ``made_by`` holds the version and
 the options as Python text, for people."""
 
+NEWER_FIELDS = frozenset({"attributes"})
+"""Fields that recorded classes have got since, left out while they are empty."""
+
 _ID = re.compile(r"\b[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}\b")
 
 
@@ -44,7 +47,8 @@ def plain(value: Any) -> Any:
             return {str(name): plain(item) for name, item in value.items()}
     if is_dataclass(value):
         names = (field.name for field in fields(value) if field.name not in MASKED_FIELDS)
-        return {name: plain(getattr(value, name)) for name in names}
+        values = {name: plain(getattr(value, name)) for name in names}
+        return {name: item for name, item in values.items() if item or name not in NEWER_FIELDS}
     if isinstance(value, Iterable):
         return [plain(item) for item in value]
     raise TypeError(f"a golden value cannot hold {type(value).__name__}")

@@ -10,16 +10,22 @@ only.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from semviz_annotation.label_formats import reading
 from semviz_annotation.label_formats.import_context import LabelImportContext
-from semviz_annotation.label_formats.reading import from_corner, json_number, number, quoted
-from semviz_annotation.label_formats.shapes import DrawnShape
+from semviz_annotation.label_formats.reading import (
+    from_corner,
+    json_number,
+    number,
+    quoted,
+    to_corner,
+)
+from semviz_annotation.label_formats.shapes import DrawnShape, outline_of
 from semviz_annotation.label_formats.writing import ImageLabels, LabelExportContext
-from semviz_annotation.labels.rows import Observation, Pixel
+from semviz_annotation.labels.rows import Observation, OutlineForm, Pixel
 from semviz_core.base.classes import Kind
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
@@ -84,7 +90,9 @@ def _read(
     attributes = reading.as_object(annotation.get("attributes") or {})
     if kind == "line" and not known and attributes.get("occluded") is True:  # as CVAT has it
         known = {"end_known": False}
-    _drop_others(annotation, attributes, kind, parsed)
+    _drop_others(annotation, parsed)
+    is_drawn = shape.form in ("line", "points")
+    outline = _outline_beside(annotation, parsed) if is_drawn else None
     element = attributes.get("element", annotation.get("element"))
     context.add_observation(
         parsed, where, place, class_id, shape,
@@ -92,6 +100,8 @@ def _read(
         number=reading.as_number(
             attributes.get("track_id", annotation.get("track_id")), "track_id"
         ),
+        attributes=_attribute_texts(attributes),
+        outline=outline,
         **known,
     )  # fmt: skip
 
@@ -129,8 +139,6 @@ def _keypoints(
     if any(visibility == 0 for _, visibility in rows):
         parsed.drop("keypoints that are not labelled (visibility 0): nothing is there")
         return None
-    if annotation.get("segmentation"):
-        parsed.drop("'segmentation': the keypoints count")
     points = tuple(point for point, _ in rows)
     known = (visibility == 2 for _, visibility in rows)
     shape = DrawnShape("line" if kind == "line" else "points", points, is_peak_first=True)
@@ -166,6 +174,21 @@ def _outline(annotation: dict[str, Any], parsed: reading.ParsedLabels) -> _Drawn
     return DrawnShape("box", ((left, top), (left + width, top + height))), {}
 
 
+def _outline_beside(
+    annotation: dict[str, Any], parsed: reading.ParsedLabels
+) -> tuple[OutlineForm, tuple[Pixel, ...]] | None:
+    """Return the polygon beside keypoints; None if there is none."""
+    rings = annotation.get("segmentation")
+    if not rings:
+        return None
+    try:
+        listed = reading.listed(annotation, "segmentation")
+        return outline_of([point for ring in listed for point in _ring(ring)])
+    except SemvizError:
+        parsed.drop("'segmentation': no polygons; the keypoints count")
+        return None
+
+
 def _ring(ring: object) -> list[Pixel]:
     """Return the points of a polygon, which count from the image corner as boxes do."""
     if not isinstance(ring, list) or len(ring) % 2 or len(ring) < 6:
@@ -174,14 +197,17 @@ def _ring(ring: object) -> list[Pixel]:
     return list(zip(values[::2], values[1::2], strict=True))
 
 
-def _drop_others(
-    annotation: dict[str, Any], attributes: dict[str, Any], kind: Kind, parsed: reading.ParsedLabels
-) -> None:
-    unused = [key for key, value in annotation.items() if key not in _DERIVED and value]
-    read = {"element", "track_id"} | ({"occluded"} if kind == "line" else set())
-    unused += [key for key, value in attributes.items() if key not in read and value]
-    for key in unused:
-        parsed.drop(f"{quoted(key)}: not known here")
+def _drop_others(annotation: dict[str, Any], parsed: reading.ParsedLabels) -> None:
+    for key, value in annotation.items():
+        if key not in _DERIVED and value:
+            parsed.drop(f"{quoted(key)}: not known here")
+
+
+def _attribute_texts(attributes: Mapping[str, Any]) -> dict[str, str]:
+    """Return attributes of an element as texts, without those of CVAT about one image."""
+    own = {"element", "track_id", "occluded", "rotation", "keyframe", "outside"}
+    texts = {key: reading.attribute_text(value) for key, value in attributes.items()}
+    return {key: text for key, text in texts.items() if key not in own and text}
 
 
 def write_coco(context: LabelExportContext, path: Path) -> None:
@@ -232,6 +258,7 @@ def _annotation(
         tuple(pick(point[axis] for point, _ in ends) for axis in (0, 1)) for pick in (min, max)
     )
     width, height = right - left, bottom - top
+    corners = context.outline(row)
     return {
         "id": id_,
         "image_id": image_id,
@@ -242,5 +269,11 @@ def _annotation(
         "area": width * height,
         "iscrowd": 0,
         "track_id": element.number,
-        "attributes": {"element": row.element_id},
+        **({"segmentation": [_segmentation(corners)]} if corners else {}),
+        "attributes": {"element": row.element_id, **context.attributes(row)},
     }
+
+
+def _segmentation(corners: Iterable[Pixel]) -> list[float]:
+    """Return corners as they are counted in segmentations; see ``_ring``."""
+    return [float(to_corner(value)) for corner in corners for value in corner]

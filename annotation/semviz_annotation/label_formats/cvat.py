@@ -21,8 +21,14 @@ from semviz_annotation.label_formats.import_context import (
     LabelImportContext,
     sides_of,
 )
-from semviz_annotation.label_formats.reading import from_corner, number, quoted, to_corner
-from semviz_annotation.label_formats.shapes import DrawnShape, Form
+from semviz_annotation.label_formats.reading import (
+    from_corner,
+    number,
+    points_as_text,
+    points_of_text,
+    quoted,
+)
+from semviz_annotation.label_formats.shapes import DrawnShape, Form, outline_of
 from semviz_annotation.label_formats.writing import ATTRIBUTES, LabelExportContext, as_word
 from semviz_annotation.labels.rows import Observation
 from semviz_core.base.frame import Side
@@ -215,12 +221,7 @@ class _Handler:
             u, v = (from_corner(self._needed(name)) for name in ("cx", "cy"))
             half_u, half_v = (abs(number(self._needed(name))) for name in ("rx", "ry"))
             return DrawnShape("box", ((u - half_u, v - half_v), (u + half_u, v + half_v)), turn_rad)
-        points = []
-        for pair in self._needed("points").split(";"):
-            u_text, comma, v_text = pair.partition(",")
-            if not comma:
-                raise SemvizError(f"{quoted(pair)} is not a point")
-            points.append((from_corner(u_text), from_corner(v_text)))
+        points = points_of_text(self._needed("points"))
         if tag == "polyline" and len(points) < 2:
             raise SemvizError("a polyline with 1 point")
         return DrawnShape(_FORMS[tag], tuple(points))
@@ -253,8 +254,7 @@ class _Handler:
         attributes = dict(self._attributes)
         known = {name: attributes.pop(name, None) for name in ("anchor_known", "end_known")}
         name = attributes.pop("element", None) or None
-        for attribute in attributes:
-            self.parsed.drop(f"attribute {quoted(attribute)}: not known here")
+        outline = attributes.pop("outline", None) or None
         for plain, nothing in _PLAIN.items():
             if self._shape.get(plain, nothing[0]) not in nothing:
                 self.parsed.drop(f"{plain}: not known here")
@@ -266,6 +266,8 @@ class _Handler:
             "number": self._number_of_element(in_track),
             "anchor_known": _truth(known["anchor_known"], "anchor_known", True),
             "end_known": _truth(known["end_known"], "end_known", not occluded),
+            "attributes": {key: value for key, value in attributes.items() if value},
+            "outline": None if outline is None else outline_of(points_of_text(outline)),
         }
 
     def _number_of_element(self, in_track: bool) -> int | None:
@@ -382,7 +384,7 @@ def _shape(
     shape = ElementTree.SubElement(
         parent, "points" if row.end_px is None else "polyline", dict(more),
         source="manual", occluded=str(int(unknown)), z_order="0",
-        points=";".join(f"{to_corner(u)},{to_corner(v)}" for u, v in points),
+        points=points_as_text(points),
     )  # fmt: skip
     for name, text in _attributes_of(context, row):
         ElementTree.SubElement(shape, "attribute", name=name).text = text
@@ -394,6 +396,9 @@ def _attributes_of(context: LabelExportContext, row: Observation) -> Iterator[tu
     yield "anchor_known", as_word(row.anchor_known)
     if row.end_px is not None:
         yield "end_known", as_word(row.end_known)
+    if outline := context.outline(row):
+        yield "outline", points_as_text(outline)
+    yield from context.attributes(row).items()
 
 
 def _root(
@@ -420,7 +425,9 @@ def _root(
         _leaf(label, "color", class_.color.lower())
         _leaf(label, "type", "polyline" if class_.kind == "line" else "points")
         attributes = ElementTree.SubElement(label, "attributes")
-        for attribute, kind in ATTRIBUTES[class_.kind].items():
+        names = (["outline"] if context.labels.outlines else []) + context.attribute_names
+        more = dict.fromkeys(names, "text")
+        for attribute, kind in {**ATTRIBUTES[class_.kind], **more}.items():
             spec = ElementTree.SubElement(attributes, "attribute")
             _leaf(spec, "name", attribute)
             _leaf(spec, "mutable", as_word(kind == "checkbox"))

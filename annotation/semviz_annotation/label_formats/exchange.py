@@ -1,15 +1,11 @@
 """Import and export of labels, completely or not at all.
 
-The plan of an import says which shapes form one element, and which are already labelled. An import
-is one operation and can be undone. Labels that already exist, equal to the last digit, are skipped,
-so an extended file can be imported again. Elements keep their numbers where these are free. The
-format is recognized from the file's content.
+An import is one operation and can be undone; see ``import_plan``. The format is recognized from
+the file's content.
 """
 
-import hashlib
-from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -21,205 +17,13 @@ from semviz_annotation.label_formats.import_context import (
     NamedImages,
     PixelsOf,
 )
+from semviz_annotation.label_formats.import_plan import ImportLabels, plan_import
 from semviz_annotation.label_formats.labelme import labelme_files, read_labelme, write_labelme
-from semviz_annotation.label_formats.reading import ParsedObservation, at, quoted
 from semviz_annotation.label_formats.writing import OriginalPixels, write_table
-from semviz_annotation.labels import rows
-from semviz_annotation.labels.labels import Labels
 from semviz_annotation.storage.store import LabelStore
 from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import new_folder
-
-MOST_NUMBER = 1_000_000
-"""Larger element numbers of a file are replaced."""
-_Content: TypeAlias = tuple[int, Side, int, rows.Pixel, rows.Pixel | None]
-
-
-@dataclass(frozen=True)
-class ImportLabels:
-    """Add the elements and observations of a file, as one edit.
-
-    New elements keep their numbers if no element ever had them.
-    """
-
-    elements: tuple[rows.LabelElement, ...]
-    observations: tuple[rows.Observation, ...]
-    kind: Literal["import"] = "import"
-
-    def changes(self, labels: Labels, rules: rows.Rules) -> Iterator[rows.RowChange]:
-        classes = {element.id: element.class_id for element in labels.elements.values()}
-        for element in _numbered(self.elements, labels.next_number):
-            classes[element.id] = rules.check_class(element).class_id
-            yield rows.RowChange(None, element)
-        for row in self.observations:
-            yield rows.RowChange(None, rules.check(row, classes[row.element_id]))
-            dismissal = labels.dismissals.get(
-                rows.proposal_id(row.element_id, row.frame_index, row.side)
-            )
-            if dismissal is not None:  # the element is visible there after all
-                yield rows.RowChange(dismissal, None)
-
-
-def _numbered(elements: Sequence[rows.LabelElement], first: int) -> Iterator[rows.LabelElement]:
-    wanted = Counter(element.number for element in elements)
-    free = {n for n, count in wanted.items() if count == 1 and first <= n < MOST_NUMBER}
-    following = max(free, default=first - 1)
-    for element in elements:
-        if element.number in free:
-            yield element
-        else:
-            following += 1
-            yield replace(element, number=following)
-
-
-@dataclass
-class ImportPlan:
-    """What an import adds, and how many labels it skips."""
-
-    elements: list[rows.LabelElement] = field(default_factory=list)
-    observations: list[rows.Observation] = field(default_factory=list)
-    kept: dict[str, Mapping[str, Any]] = field(default_factory=dict)
-    """Keys that only the file's format understands, by observation id."""
-    already: int = 0
-    repeated: int = 0
-    """Number of labels that the file has twice."""
-
-
-def plan_import(observations: Sequence[ParsedObservation], labels: Labels) -> ImportPlan:
-    """Return which elements and observations a file adds to ``labels``.
-
-    Observations with the same name, or with the same number and class, are one element. An element
-    without a semviz id is the one in ``labels`` with an equal observation, if there is one. Raise
-    SemvizError, naming the item, if an element is twice in one image, has two classes, or
-    contradicts ``labels``.
-    """
-    plan, present = ImportPlan(), _contents(labels)
-    digest = hashlib.sha256(
-        repr([(_content(observation), observation.number) for observation in observations]).encode()
-    )
-    for key, group in _groups(observations).items():
-        with at(group[0].where):
-            element_id = _element_id(key, group, present, digest.hexdigest())
-        _add(plan, element_id, group, labels)
-    return plan
-
-
-_Key: TypeAlias = tuple[str, object]
-
-
-def _groups(observations: Sequence[ParsedObservation]) -> dict[_Key, list[ParsedObservation]]:
-    """Group the observations by element, in the order of the file."""
-    names = {
-        (observation.class_id, observation.number): observation.name
-        for observation in observations
-        if observation.name is not None
-    }
-    groups: dict[_Key, list[ParsedObservation]] = {}
-    for observation in observations:
-        number = (observation.class_id, observation.number)
-        name = observation.name
-        if name is None and observation.number is not None:
-            name = names.get(number)  # drawn later, and given only the number of a named one
-        key: _Key = ("alone", _content(observation))
-        if name is not None:
-            key = ("name", name)
-        elif observation.number is not None:
-            key = ("number", number)
-        groups.setdefault(key, []).append(observation)
-    return groups
-
-
-def _content(observation: ParsedObservation) -> _Content:
-    return (
-        observation.frame_index,
-        observation.side,
-        observation.class_id,
-        observation.anchor_px,
-        observation.end_px,
-    )
-
-
-def _contents(labels: Labels) -> dict[_Content, str]:
-    return {
-        (row.frame_index, row.side, labels.element(row.element_id).class_id, row.anchor_px,
-         row.end_px): row.element_id
-        for row in labels.observations.values()
-    }  # fmt: skip
-
-
-def _element_id(
-    key: _Key, group: Sequence[ParsedObservation], present: Mapping[_Content, str], digest: str
-) -> str:
-    kind, value = key
-    if kind == "name" and rows.is_id(str(value)):
-        return str(value)
-    present_ids = {present[content] for content in map(_content, group) if content in present}
-    if len(present_ids) > 1:
-        raise SemvizError("one element here, but several in the workspace; link them there first")
-    if present_ids:
-        return present_ids.pop()
-    if kind == "number":  # says nothing outside of this file
-        return rows.derived_id(f"{digest} {value!r}")
-    return rows.derived_id(f"{kind} {group[0].class_id} {value!r}")
-
-
-def _add(
-    plan: ImportPlan, element_id: str, group: Sequence[ParsedObservation], labels: Labels
-) -> None:
-    element = labels.elements.get(element_id)
-    if element is None:
-        ours = (
-            observation.number for observation in group if observation.name == element_id
-        )  # of others: no meaning
-        element = rows.LabelElement(element_id, next(ours, None) or 0, group[0].class_id)
-        plan.elements.append(element)
-    by_image: dict[tuple[int, Side], ParsedObservation] = {}
-    for observation in group:
-        with at(observation.where):
-            if observation.class_id != element.class_id:
-                raise SemvizError(f"element {_name(observation)} is of another class elsewhere")
-            twin = by_image.setdefault((observation.frame_index, observation.side), observation)
-            if twin is observation:
-                _add_observation(plan, element, observation, labels)
-            elif _content(twin) == _content(observation):
-                plan.repeated += 1
-            else:
-                raise SemvizError(f"element {_name(observation)} is twice in this image")
-
-
-def _name(observation: ParsedObservation) -> str:
-    return quoted(observation.name if observation.name is not None else observation.number)
-
-
-def _add_observation(
-    plan: ImportPlan, element: rows.LabelElement, parsed: ParsedObservation, labels: Labels
-) -> None:
-    row = rows.Observation(
-        id=rows.proposal_id(element.id, parsed.frame_index, parsed.side),
-        element_id=element.id,
-        frame_index=parsed.frame_index,
-        side=parsed.side,
-        anchor_px=parsed.anchor_px,
-        end_px=parsed.end_px,
-        anchor_known=parsed.anchor_known,
-        end_known=parsed.end_known and parsed.end_px is not None,
-    )
-    existing = labels.find(element.id, parsed.frame_index, parsed.side)
-    if existing is None and row.id in labels.observations:
-        raise SemvizError("its label was given to another element since; delete that one first")
-    if existing is None:
-        plan.observations.append(row)
-    elif replace(existing, id=row.id) == row:
-        plan.already += 1
-    else:
-        raise SemvizError(
-            f"element {element.number} is labelled differently in this {parsed.side} image of "
-            f"frame {parsed.frame_index}; delete that label first, or import into a new workspace"
-        )
-    if parsed.kept:
-        plan.kept[row.id if existing is None else existing.id] = parsed.kept
-
 
 ForeignFormat: TypeAlias = Literal["cvat", "labelme", "coco"]
 KEPT = "kept"
@@ -242,6 +46,10 @@ class ImportReport:
     """Number of added observations."""
     elements: int
     """Number of new elements."""
+    attributes: int
+    """Number of added attributes of elements."""
+    outlines: int
+    """Number of boxes and polygons that are kept with their labels."""
     already: int
     """Number of observations that existed before."""
     dropped: Mapping[str, int] = field(default_factory=dict)
@@ -344,11 +152,13 @@ def _commit(
     plan = plan_import(parsed.observations, store.labels)
     if plan.repeated:
         parsed.drop("labels that the file has twice", plan.repeated)
-    if plan.observations:
+    for what, count in plan.dropped.items():
+        parsed.drop(what, count)
+    if plan.adds:
         kept = writing.Sidecar.made(parsed.kept_images, plan.kept)
         writing.save_sidecar(kept, store.path.parent / KEPT)  # first: unused if the import fails
         with reading.at(path):
-            store.apply(ImportLabels(tuple(plan.elements), tuple(plan.observations)), author)
+            store.apply(ImportLabels.of(plan), author)
     upside_down = sum(
         observation.end_px is not None and observation.anchor_px[1] > observation.end_px[1]
         for observation in parsed.observations
@@ -360,6 +170,8 @@ def _commit(
         images=parsed.images or len(images),  # tracks have frames only
         observations=len(plan.observations),
         elements=len(plan.elements),
+        attributes=len(plan.attributes),
+        outlines=len(plan.outlines),
         already=plan.already,
         dropped=dict(parsed.dropped),
         assumed=dict(parsed.assumed),
@@ -409,7 +221,7 @@ def export_labels(
     needs. ``frames`` are those of the workspace, for ``cvat-video``; ``start_frame`` numbers them
     from there on. Raise SemvizError if ``path`` cannot be written. Nothing is written then.
     """
-    rig = store.rules.rig
+    rig = store.rig
     if rig is None:
         raise SemvizError(f"{store.path}: opened without its cameras, so image sizes are not known")
     if format_ == "cvat-video":

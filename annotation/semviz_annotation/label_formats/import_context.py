@@ -6,7 +6,7 @@ size, or in a recorded image with its distortion, becomes a mark in the labelled
 
 import re
 import shlex
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
@@ -15,15 +15,16 @@ import numpy as np
 from semviz_annotation.label_formats.reading import (
     IGNORE,
     MOST_ITEMS,
+    SIGNS_OF_ANY_SHAPE,
     ParsedLabels,
     ParsedObservation,
     at,
     class_named,
     quoted,
 )
-from semviz_annotation.label_formats.shapes import DrawnShape, axis, centroid
+from semviz_annotation.label_formats.shapes import DrawnShape, axis, centroid, outline_of
 from semviz_annotation.labels.rows import Observation, Pixel, Rules, is_id
-from semviz_core.base.classes import OLDER_CENTER, TRIANGULAR, TriangleCenter
+from semviz_core.base.classes import OLDER_CENTER, RECTANGULAR, TRIANGULAR, TriangleCenter
 from semviz_core.base.frame import Dataset, Side
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.image_folder import ImageFolder
@@ -147,6 +148,9 @@ class LabelImportContext:
             parsed.drop(f"shapes of class {quoted(name)}: ignored, as asked")
             return None
         class_id = class_named(name if mapped is None else mapped, classes)
+        if class_id is None and mapped is None and name.lower() in SIGNS_OF_ANY_SHAPE:
+            parsed.assume(f"signs called {quoted(name)}, without a shape: rectangular")
+            class_id = RECTANGULAR
         if class_id is None and mapped is not None:
             raise SemvizError(
                 f"class {quoted(name)} is mapped to {quoted(mapped)}, which is not known; "
@@ -257,7 +261,9 @@ class LabelImportContext:
         marked = self._mark(parsed, class_id, shape)
         if marked is None:
             return
-        anchor_px, end_px = self._labelled(marked, place, parsed)
+        self._note_assumed(place, parsed)
+        anchor_px, *ends = self._labelled(marked, place)
+        end_px = ends[0] if ends else None
         knows_peak = shape.is_peak_first or is_id(str(more.get("name")))  # semviz wrote it
         if not knows_peak and end_px is not None and anchor_px[1] > end_px[1]:
             anchor_px, end_px = end_px, anchor_px
@@ -265,10 +271,13 @@ class LabelImportContext:
         drawn = ParsedObservation(
             where, place.frame_index, place.side, class_id, anchor_px, end_px, **more
         )
-        is_moved = place.recorded or shape.form in ("box", "polygon")
-        observation = self._within(drawn, parsed) if is_moved else drawn
+        is_region = shape.form in ("box", "polygon")
+        observation = self._within(drawn, parsed) if place.recorded or is_region else drawn
         if observation is None:
             return
+        if is_region and observation.outline is None:
+            corners = self._labelled(list(shape.corners), place)
+            observation = replace(observation, outline=outline_of(corners))
         self.rules.check(_observation(observation), class_id)
         if len(parsed.observations) >= MOST_ITEMS:
             raise SemvizError(f"more than {MOST_ITEMS} labels; split the file")
@@ -303,22 +312,27 @@ class LabelImportContext:
         is_centroid = class_id == TRIANGULAR and self.triangle_center == "centroid"
         return _sign(parsed, element_class.name, shape, is_centroid)
 
-    def _labelled(
-        self, marked: list[Pixel], place: ImagePlace, parsed: ParsedLabels
-    ) -> tuple[Pixel, Pixel | None]:
-        """Return marks in pixels of the labelled image; unscaled ones keep all digits."""
-        points = np.array(marked)
+    def _note_assumed(self, place: ImagePlace, parsed: ParsedLabels) -> None:
+        """Count a label by what its place assumes."""
         if place.is_either:
             parsed.assume("images named like recorded and rectified ones: rectified (--pixels)")
         if place.scale != (1.0, 1.0):
             parsed.assume("labels of images of another size: scaled to that of the workspace")
-            points = (points + 0.5) * place.scale - 0.5
-        if place.recorded and self.recorded is not None and not self._is_same(place):
+        if self._is_rectified(place):
             parsed.assume("labels of recorded images: moved to the rectified ones")
+
+    def _is_rectified(self, place: ImagePlace) -> bool:
+        return place.recorded and self.recorded is not None and not self._is_same(place)
+
+    def _labelled(self, drawn: Sequence[Pixel], place: ImagePlace) -> list[Pixel]:
+        """Return points in pixels of the labelled image; unscaled ones keep all digits."""
+        points = np.array(drawn)
+        if place.scale != (1.0, 1.0):
+            points = (points + 0.5) * place.scale - 0.5
+        if self._is_rectified(place) and self.recorded is not None:
             source = self.recorded.source
             points = source.rectification(place.frame_index, place.side).to_rectified(points)
-        rows = [(float(u), float(v)) for u, v in points]
-        return rows[0], rows[1] if len(rows) > 1 else None
+        return [(float(u), float(v)) for u, v in points]
 
 
 def _pole(parsed: ParsedLabels, name: str, shape: DrawnShape) -> list[Pixel] | None:
@@ -342,12 +356,12 @@ def _sign(
     parsed: ParsedLabels, name: str, shape: DrawnShape, is_centroid: bool
 ) -> list[Pixel] | None:
     if shape.form == "box":
-        parsed.drop("width and height of boxes: a sign is its middle")
         parsed.triangle_boxes += is_centroid
         return [shape.below_middle(1.0 / 6.0 if is_centroid else 0.0)]  # taken to stand upright
     if shape.form == "polygon":
         middle = centroid(shape.points)
-        parsed.drop(f"{'outlines' if middle else 'flat ones'} of polygons: a sign is its middle")
+        if middle is None:
+            parsed.drop("flat polygons: they have no middle")
         return None if middle is None else [middle]
     if shape.form == "points" and len(shape.points) == 1:
         parsed.triangle_points += is_centroid

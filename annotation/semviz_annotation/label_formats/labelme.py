@@ -6,14 +6,14 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from semviz_annotation.label_formats import reading
 from semviz_annotation.label_formats.import_context import LabelImportContext
 from semviz_annotation.label_formats.reading import from_corner, json_number, quoted, to_corner
-from semviz_annotation.label_formats.shapes import DrawnShape, Form
+from semviz_annotation.label_formats.shapes import DrawnShape, Form, outline_of
 from semviz_annotation.label_formats.writing import ImageLabels, LabelExportContext, Sidecar
 from semviz_annotation.labels.rows import Observation, Pixel
 from semviz_core.common.errors import SemvizError
@@ -29,7 +29,9 @@ _FORMS: Mapping[str, Form] = {
     "polygon": "polygon",
     "rotation": "polygon",
 }
-_OURS = frozenset({"label", "points", "shape_type", "group_id", "flags", "element"})
+_OURS = frozenset(
+    {"label", "points", "shape_type", "group_id", "flags", "element", "attributes", "outline"}
+)
 _OURS_ABOVE = frozenset({"shapes", "imagePath", "imageData", "imageHeight", "imageWidth"})
 _FLAGS = ("anchor_known", "end_known")
 
@@ -102,27 +104,37 @@ def _read_shape(
     flags = dict(reading.as_object(shape.get("flags") or {}))
     known = {name: reading.as_flag(flags.pop(name, True), f"flag {name}") for name in _FLAGS}
     name = shape.get("element")
+    attributes = reading.as_object(shape.get("attributes") or {})
+    texts = {key: reading.attribute_text(value) for key, value in attributes.items()}
+    outline = _corners(shape, "outline") if shape.get("outline") else None
     return {
         "class_id": class_id,
         "shape": _drawn(shape_type, _points(shape, shape_type)),
         "name": None if name is None else reading.as_text(name, "element"),
         "number": reading.as_number(shape.get("group_id"), "group_id"),
         "kept": _rest(shape, _OURS) | ({"flags": _rest(flags, frozenset())} if flags else {}),
+        "attributes": {key: text for key, text in texts.items() if text},
+        "outline": None if outline is None else outline_of(outline),
         **known,
     }
 
 
 def _points(shape: dict[str, Any], shape_type: str) -> list[Pixel]:
-    points: list[Pixel] = []
-    for point in reading.listed(shape, "points"):
-        if not isinstance(point, list) or len(point) != 2:
-            raise SemvizError(f"{quoted(point)} is not a point")
-        u, v = (from_corner(json_number(part)) for part in point)
-        points.append((u, v))
+    points = _corners(shape, "points")
     fits = {"line": (2,), "point": (1,), "rectangle": (2, 4), "circle": (2,)}.get(shape_type)
     if len(points) not in fits if fits else len(points) < 2:
         plural = "" if len(points) == 1 else "s"
         raise SemvizError(f"a {shape_type} with {len(points)} point{plural}")
+    return points
+
+
+def _corners(shape: dict[str, Any], key: str) -> list[Pixel]:
+    points: list[Pixel] = []
+    for point in reading.listed(shape, key):
+        if not isinstance(point, list) or len(point) != 2:
+            raise SemvizError(f"{quoted(point)} is not a point")
+        u, v = (from_corner(json_number(part)) for part in point)
+        points.append((u, v))
     return points
 
 
@@ -183,11 +195,19 @@ def _shape(context: LabelExportContext, row: Observation, kept: Sidecar) -> str:
         "shape_type": "point" if row.end_px is None else "line",
         "element": row.element_id,
     }
+    if attributes := context.attributes(row):
+        written["attributes"] = attributes
     values = {key: json.dumps(value) for key, value in (extra | written).items()}
     values["flags"] = json.dumps(extra.get("flags", {}) | flags)
-    corner = (f"[{to_corner(u)}, {to_corner(v)}]" for u, v in points)
-    values["points"] = f"[{', '.join(corner)}]"
+    values["points"] = _points_text(points)
+    if outline := context.outline(row):
+        values["outline"] = _points_text(outline)
     return "{" + ", ".join(_members(values)) + "}"
+
+
+def _points_text(points: Iterable[Pixel]) -> str:
+    corners = (f"[{to_corner(u)}, {to_corner(v)}]" for u, v in points)
+    return f"[{', '.join(corners)}]"
 
 
 def _members(values: Mapping[str, str]) -> Iterator[str]:

@@ -9,14 +9,14 @@ centre of the top-left pixel, so their values are larger by 0.5.
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from decimal import Context, Decimal
 from pathlib import Path
 from typing import Any
 
-from semviz_annotation.labels.rows import Pixel
+from semviz_annotation.labels.rows import OutlineForm, Pixel
 from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR, ClassSet
 from semviz_core.base.frame import Side
 from semviz_core.common.arrays import LARGEST
@@ -64,6 +64,22 @@ def to_corner(value: float) -> str:
     return format(_EXACT.add(Decimal(repr(value)), _HALF), "f")
 
 
+def points_of_text(text: str) -> list[Pixel]:
+    """Return the points of ``u,v;u,v``, which count from the image corner."""
+    points = []
+    for pair in text.split(";"):
+        u_text, comma, v_text = pair.partition(",")
+        if not comma:
+            raise SemvizError(f"{quoted(pair)} is not a point")
+        points.append((from_corner(u_text), from_corner(v_text)))
+    return points
+
+
+def points_as_text(points: Iterable[Pixel]) -> str:
+    """Return the exact inverse of ``points_of_text``."""
+    return ";".join(f"{to_corner(u)},{to_corner(v)}" for u, v in points)
+
+
 def json_number(value: object) -> str:
     """Return the text of a number in parsed JSON. Raise SemvizError if it is not finite."""
     if isinstance(value, NumberText):
@@ -92,14 +108,18 @@ MOST_KINDS = 100
 """Largest number of different entries in the list of dropped content."""
 
 SYNONYMS: Mapping[int, tuple[str, ...]] = {
-    POLE: ("poles", "lamp post", "lamppost", "lamp pole", "light pole", "street light",
+    POLE: ("17", "37", "38", "smallpole", "small pole", "lamp",
+           "poles", "lamp post", "lamppost", "lamp pole", "light pole", "street light",
            "streetlight", "street lamp", "utility pole", "sign pole", "sign post", "post", "mast"),
     TRIANGULAR: ("triangular", "triangle sign", "triangular traffic sign"),
     RECTANGULAR: ("rectangular", "rectangle sign", "square sign", "rectangular traffic sign"),
     ROUNDED: ("rounded", "round", "round sign", "circular", "circular sign", "circle sign",
               "rounded traffic sign", "round traffic sign"),
 }  # fmt: skip
-"""Other names of the default classes; case, ``_`` and ``-`` do not matter."""
+"""Other names of the default classes, first the ids and names of KITTI-360; case, ``_`` and ``-``
+do not matter."""
+SIGNS_OF_ANY_SHAPE = ("20", "traffic sign")
+"""What KITTI-360 and others call signs without their shape: taken for rectangular ones."""
 
 
 class _PlacedError(SemvizError):
@@ -136,6 +156,10 @@ class ParsedObservation:
     """Number of its element in the file (track, group); None if it has none."""
     kept: Mapping[str, Any] = field(default_factory=dict)
     """Keys that only the file's own format understands."""
+    attributes: Mapping[str, str] = field(default_factory=dict)
+    """Of its element."""
+    outline: tuple[OutlineForm, tuple[Pixel, ...]] | None = None
+    """The box or polygon that was drawn, see ``ImportedOutline``."""
 
 
 @dataclass
@@ -171,10 +195,10 @@ def _count(counter: "Counter[str]", what: str, count: int) -> None:
 def class_named(name: str, classes: ClassSet) -> int | None:
     """Return the id of the class called ``name``, or by a synonym; None if there is none."""
     plain = _plain(name)
-    for class_ in classes:
-        if plain == _plain(class_.name) or plain in SYNONYMS.get(class_.id, ()):
-            return class_.id
-    return None
+    own = next((class_.id for class_ in classes if plain == _plain(class_.name)), None)
+    if own is not None:
+        return own
+    return next((class_id for class_id, names in SYNONYMS.items() if plain in names), None)
 
 
 def _plain(name: str) -> str:
@@ -242,6 +266,15 @@ def as_object(value: object) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise SemvizError(f"an object is expected, not {quoted(value)}")
     return value
+
+
+def attribute_text(value: object) -> str:
+    """Return the value of an attribute as a text; empty for nothing, and for lists and objects."""
+    if isinstance(value, bool):
+        return "yes" if value else ""
+    if isinstance(value, NumberText):
+        return value.text
+    return "" if value is None or isinstance(value, list | dict) else str(value)
 
 
 def as_text(value: object, what: str) -> str:

@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from semviz_annotation.labels.rows import Pixel
+from semviz_annotation.labels.rows import ImportedOutline, OutlineForm, Pixel
 from semviz_core.common.arrays import FloatArray
 
 Form: TypeAlias = Literal["line", "points", "box", "polygon"]
@@ -48,6 +48,8 @@ class DrawnShape:
         if self.form != "box":
             return self.points
         (left, top), (right, bottom) = self.points
+        if not self.turn_rad:
+            return (left, top), (right, top), (right, bottom), (left, bottom)
         u, v, half_u, half_v = (
             (left + right) / 2,
             (top + bottom) / 2,
@@ -59,6 +61,21 @@ class DrawnShape:
             (u + cos * x * half_u - sin * y * half_v, v + sin * x * half_u + cos * y * half_v)
             for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))
         )
+
+
+def outline_of(corners: Sequence[Pixel]) -> tuple[OutlineForm, tuple[Pixel, ...]]:
+    """Return form and points of an ``ImportedOutline``: a box if its corners are upright."""
+    us, vs = sorted({u for u, _ in corners}), sorted({v for _, v in corners})
+    if len(corners) == 4 and len(us) == len(vs) == 2 and len(set(corners)) == 4:
+        return "box", ((us[0], vs[0]), (us[1], vs[1]))
+    return "polygon", tuple(corners)
+
+
+def outline_corners(outline: ImportedOutline) -> tuple[Pixel, ...]:
+    """Return the corners of an outline, of a box from its top left one on."""
+    if outline.form == "polygon":
+        return outline.points_px
+    return DrawnShape("box", outline.points_px).corners
 
 
 def centroid(points: Sequence[Pixel]) -> Pixel | None:

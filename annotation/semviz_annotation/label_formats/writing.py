@@ -20,8 +20,9 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from semviz_annotation.label_formats.shapes import outline_corners
 from semviz_annotation.labels.labels import Labels
-from semviz_annotation.labels.rows import Observation
+from semviz_annotation.labels.rows import Observation, Pixel
 from semviz_core.base.camera import Camera, Rig
 from semviz_core.base.classes import ClassSet
 from semviz_core.base.frame import Dataset, Side
@@ -97,6 +98,7 @@ class LabelExportContext:
         dropped: Counter[str] = Counter()
         dropped["reviews of frames: the format has no word for them"] = len(labels.reviews)
         dropped["proposals turned down: the format has no word for them"] = len(labels.dismissals)
+        dropped["notes on elements: the format has no word for them"] = len(labels.notes)
         dropped["decisions for map building: the format has no word for them"] = len(
             labels.review_decisions
         )
@@ -113,6 +115,21 @@ class LabelExportContext:
 
     def class_name(self, row: Observation) -> str:
         return self.classes[self.labels.element(row.element_id).class_id].name
+
+    def attributes(self, row: Observation) -> dict[str, str]:
+        """Return the attributes of an observation's element, by name."""
+        found = self.labels.attributes_of(row.element_id)
+        return {attribute.name: attribute.value for attribute in found}
+
+    def outline(self, row: Observation) -> tuple[Pixel, ...]:
+        """Return the corners of the box or polygon of an observation; none if it has none."""
+        outline = self.labels.outline_of(row.id)
+        return () if outline is None else outline_corners(outline)
+
+    @property
+    def attribute_names(self) -> list[str]:
+        """The names of all attributes that elements have."""
+        return sorted({row.name for row in self.labels.attributes.values()})
 
 
 def as_word(value: bool) -> str:
@@ -199,8 +216,11 @@ def original_pixels(source: Dataset) -> OriginalPixels:
 
 def write_table(context: LabelExportContext, path: Path, original: OriginalPixels) -> None:
     """Write the table; cells of a sign's missing end are empty."""
+    if outlines := len(context.labels.outlines):
+        context.dropped["boxes and polygons: a table has no place for them"] = outlines
+    header = (*COLUMNS, *(f"attribute:{name}" for name in context.attribute_names))
     with replacing(path) as temporary:
-        table = csv_text([COLUMNS, *_rows(context, original)])
+        table = csv_text([header, *_rows(context, original)])
         temporary.write_text(table, encoding="utf-8", newline="")
 
 
@@ -221,4 +241,5 @@ def _rows(context: LabelExportContext, original: OriginalPixels) -> Iterator[Seq
                 as_word(row.anchor_known),
                 *(cells[1] if row.end_px is not None else [""] * 4),
                 as_word(row.end_known),
+                *(context.attributes(row).get(name, "") for name in context.attribute_names),
             ]

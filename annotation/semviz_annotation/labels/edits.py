@@ -13,13 +13,11 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeAlias
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from semviz_annotation.labels import rows
+from semviz_annotation.labels.delete_edits import DeleteElement, DeleteMany, DeleteObservation
 from semviz_annotation.labels.element_edits import (
     AddElements,
     AddMany,
     AddObservation,
-    DeleteElement,
-    DeleteMany,
-    DeleteObservation,
     Link,
     MoveObservation,
     NewElement,
@@ -31,6 +29,7 @@ from semviz_annotation.labels.element_edits import (
     Unlink,
 )
 from semviz_annotation.labels.labels import Labels, ReviewState
+from semviz_annotation.labels.own_classes import SetAttribute
 from semviz_core.common.errors import SemvizError
 
 __all__ = [
@@ -53,6 +52,7 @@ __all__ = [
     "ReviewFrame",
     "RevokeDecision",
     "SendBackFrame",
+    "SetAttribute",
     "SetClass",
     "SetClassOfViews",
     "SetKnown",
@@ -252,6 +252,7 @@ Edit: TypeAlias = (
     | Unlink
     | SetClass
     | SetClassOfViews
+    | SetAttribute
     | ReviewFrame
     | AcceptFrame
     | SendBackFrame

@@ -1,8 +1,8 @@
 """Edits that draw observations and link them to elements.
 
-Observations are added, moved, corrected and deleted; deleting the last one deletes its element.
-Linking states that label elements are one landmark: the element with the smallest number keeps
-all observations. Unlinking separates observations and keeps the elements apart.
+Observations are added, moved and corrected. Linking states that label elements are one landmark:
+the element with the smallest number keeps all observations. Unlinking separates observations and
+keeps the elements apart.
 """
 
 from collections.abc import Iterable, Iterator
@@ -11,7 +11,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import ConfigDict, Field
 
-from semviz_annotation.labels.labels import Draft, Labels
+from semviz_annotation.labels.delete_edits import deletions, in_turn
+from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.rows import (
     STRICT,
     Id,
@@ -19,9 +20,9 @@ from semviz_annotation.labels.rows import (
     LabelElement,
     Observation,
     Pixel,
-    Row,
     RowChange,
     Rules,
+    attribute_id,
     different_elements,
     proposal_id,
     review_decision,
@@ -33,27 +34,11 @@ from semviz_core.common.errors import SemvizError
 
 
 @dataclass(frozen=True)
-class DeleteElement:
-    """Delete an element with its observations, dismissals, decisions and notes."""
-
-    element_id: Id
-    kind: Literal["delete element"] = "delete element"
-
-    __pydantic_config__: ClassVar[ConfigDict] = STRICT
-
-    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
-        yield RowChange(labels.element(self.element_id), None)
-        for row in labels.of_element(self.element_id):
-            yield RowChange(row, None)
-        yield from _deletions_with_element(labels, self.element_id)
-
-
-@dataclass(frozen=True)
 class Link:
     """State that label elements are one landmark: the smallest number keeps all observations.
 
-    Notes on the others pass to the element that is kept. So do decisions, unless it has its own. A
-    decision that two of them are apart is revoked.
+    Notes on the others pass to the element that is kept. So do attributes and decisions, unless it
+    has its own. A decision that two of them are apart is revoked.
     """
 
     element_ids: Annotated[tuple[Id, ...], Field(min_length=2)]
@@ -71,10 +56,11 @@ class Link:
             for row in labels.of_element(element.id):
                 yield RowChange(row, replace(row, element_id=kept.id))
                 proposal = proposal_id(kept.id, row.frame_index, row.side)
-                yield from _deletions([labels.dismissals.get(proposal)])
-            yield from _deletions(labels.dismissed_of(element.id))
+                yield from deletions([labels.dismissals.get(proposal)])
+            yield from deletions(labels.dismissed_of(element.id))
             for note in labels.notes_of(element.id):
                 yield RowChange(note, replace(note, element_id=kept.id))
+        yield from _transferred_attributes(kept.id, [element.id for element in merged], labels)
         yield from _transferred_decisions(kept.id, {element.id for element in merged}, labels)
 
     @staticmethod
@@ -94,6 +80,19 @@ class Link:
                         f"{earlier} and {name} are both in the {row.side} image of "
                         f"frame {row.frame_index}, so they are two landmarks"
                     )
+
+
+def _transferred_attributes(
+    kept_id: str, merged_ids: Iterable[str], labels: Labels
+) -> Iterator[RowChange]:
+    """Replace the attributes of merged elements by those of ``kept_id`` that it lacks."""
+    present = {row.name for row in labels.attributes_of(kept_id)}
+    for row in (row for id_ in merged_ids for row in labels.attributes_of(id_)):
+        yield RowChange(row, None)
+        if row.name not in present:
+            present.add(row.name)
+            id_ = attribute_id(kept_id, row.name)
+            yield RowChange(None, replace(row, id=id_, element_id=kept_id))
 
 
 def _transferred_decisions(
@@ -210,17 +209,6 @@ class SetClassOfViews:
             yield change
 
 
-def _deletions_with_element(labels: Labels, element_id: str) -> Iterator[RowChange]:
-    """Delete the dismissals, decisions and notes that refer to an element."""
-    yield from _deletions([*labels.dismissed_of(element_id), *labels.decisions_of(element_id)])
-    yield from _deletions(labels.notes_of(element_id))
-
-
-def _deletions(rows: Iterable[Row | None]) -> Iterator[RowChange]:
-    """Delete those of ``rows`` that exist."""
-    return (RowChange(row, None) for row in rows if row is not None)
-
-
 @dataclass(frozen=True)
 class AddObservation:
     """Add an observation of an existing element or, if ``class_id`` is set, of a new one."""
@@ -266,7 +254,7 @@ class AddObservation:
             yield RowChange(None, element)
         yield RowChange(None, row)
         here, accepted = labels.dismissed_in(self.frame_index), self.observation_id
-        yield from _deletions(one for one in here if one.id == accepted or one.is_refuted_by(row))
+        yield from deletions(one for one in here if one.id == accepted or one.is_refuted_by(row))
 
 
 @dataclass(frozen=True)
@@ -282,7 +270,7 @@ class AddMany:
     __pydantic_config__: ClassVar[ConfigDict] = STRICT
 
     def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
-        yield from _in_turn(self.observations, labels, rules)
+        yield from in_turn(self.observations, labels, rules)
 
 
 @dataclass(frozen=True)
@@ -319,7 +307,7 @@ class AddElements:
                 if row.id in labels.observations:
                     raise SemvizError("one of these observations already exists")
                 yield RowChange(None, rules.check(replace(row, element_id=new.id), new.class_id))
-                yield from _deletions([labels.dismissals.get(row.id)])
+                yield from deletions([labels.dismissals.get(row.id)])
             if self.left_out:
                 yield RowChange(None, review_decision(new.id, "leave out"))
 
@@ -407,44 +395,3 @@ class SwapEnds:
                 end_known=row.anchor_known,
             ),
         )
-
-
-@dataclass(frozen=True)
-class DeleteObservation:
-    """Delete one observation; deleting the last one deletes its element."""
-
-    observation_id: Id
-    kind: Literal["delete"] = "delete"
-
-    __pydantic_config__: ClassVar[ConfigDict] = STRICT
-
-    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
-        row = labels.observation(self.observation_id)
-        yield RowChange(row, None)
-        if len(labels.of_element(row.element_id)) == 1:
-            yield RowChange(labels.element(row.element_id), None)
-            yield from _deletions_with_element(labels, row.element_id)
-
-
-@dataclass(frozen=True)
-class DeleteMany:
-    """Delete several observations, all or none, each like ``DeleteObservation``."""
-
-    observation_ids: Annotated[tuple[Id, ...], Field(min_length=1)]
-    kind: Literal["delete many"] = "delete many"
-
-    __pydantic_config__: ClassVar[ConfigDict] = STRICT
-
-    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
-        yield from _in_turn(map(DeleteObservation, self.observation_ids), labels, rules)
-
-
-def _in_turn(
-    edits: Iterable[AddObservation | DeleteObservation], labels: Labels, rules: Rules
-) -> Iterator[RowChange]:
-    """Return the changes of ``edits``, each applied to the result of those before it."""
-    draft = Draft(labels)
-    for edit in edits:
-        changes = tuple(edit.changes(draft.labels(), rules))
-        draft.apply(changes)
-        yield from changes

@@ -8,10 +8,16 @@ from collections.abc import Iterable, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, TypeAlias
 
+from semviz_annotation.labels.draft_tables import INDICES, TABLES, DraftTables
+from semviz_annotation.labels.own_classes import class_set
 from semviz_annotation.labels.rows import (
     STRICT,
+    Attribute,
+    AttributeType,
+    ClassDeclaration,
     Dismissal,
     Id,
+    ImportedOutline,
     Index,
     Key,
     LabelElement,
@@ -22,14 +28,14 @@ from semviz_annotation.labels.rows import (
     ReviewDecision,
     Row,
     RowChange,
-    SharedDict,
-    check_decision,
     new_id,
+    outline_id,
     proposal_id,
     row_elements,
     row_key,
 )
-from semviz_core.base.classes import OLDER_CENTER, TriangleCenter
+from semviz_annotation.labels.shared_dict import SharedDict
+from semviz_core.base.classes import OLDER_CENTER, ClassSet, TriangleCenter
 from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError
 
@@ -77,6 +83,10 @@ class Labels:
     dismissals: Mapping[str, Dismissal] = field(default_factory=SharedDict)
     review_decisions: Mapping[str, ReviewDecision] = field(default_factory=SharedDict)
     notes: Mapping[str, Note] = field(default_factory=SharedDict)
+    own_classes: Mapping[int, ClassDeclaration] = field(default_factory=SharedDict)
+    attribute_types: Mapping[str, AttributeType] = field(default_factory=SharedDict)
+    attributes: Mapping[str, Attribute] = field(default_factory=SharedDict)
+    outlines: Mapping[str, ImportedOutline] = field(default_factory=SharedDict)
     next_number: int = field(default=1, compare=False)
     """Number of the next new element. It never decreases, not even by undo."""
     operation: int = field(default=0, compare=False)
@@ -90,6 +100,7 @@ class Labels:
     _dismissed_of: Mapping[str, tuple[str, ...]] = field(default_factory=SharedDict, compare=False)
     _decisions_of: Mapping[str, tuple[str, ...]] = field(default_factory=SharedDict, compare=False)
     _notes_of: Mapping[str, tuple[str, ...]] = field(default_factory=SharedDict, compare=False)
+    _attributes_of: Mapping[str, tuple[str, ...]] = field(default_factory=SharedDict, compare=False)
 
     @classmethod
     def from_rows(
@@ -122,21 +133,17 @@ class Labels:
     def row(self, key: Key) -> Row | None:
         """Return the row of a type and id; None if there is none."""
         kind, name = key
-        return self._tables()[kind].get(name)
+        table: Mapping[Any, Row] = getattr(self, TABLES[kind])
+        return table.get(name)
 
     def rows(self) -> Iterator[Row]:
         """Iterate over all rows, table by table."""
-        return (row for table in self._tables().values() for row in table.values())
+        return (row for name in TABLES.values() for row in getattr(self, name).values())
 
-    def _tables(self) -> dict[type[Row], Mapping[Any, Row]]:
-        return {
-            LabelElement: self.elements,
-            Observation: self.observations,
-            Review: self.reviews,
-            Dismissal: self.dismissals,
-            ReviewDecision: self.review_decisions,
-            Note: self.notes,
-        }
+    @property
+    def classes(self) -> ClassSet:
+        """The classes of every workspace, and its own."""
+        return class_set(tuple(self.own_classes.values()))
 
     def element(self, element_id: str) -> LabelElement:
         """Return an element. Raise SemvizError if it does not exist."""
@@ -188,6 +195,15 @@ class Labels:
         """Return the notes about an element, by id: oldest first."""
         return tuple(self.notes[row_id] for row_id in sorted(self._notes_of.get(element_id, ())))
 
+    def attributes_of(self, element_id: str) -> tuple[Attribute, ...]:
+        """Return the attributes of an element, by name."""
+        rows = (self.attributes[row_id] for row_id in self._attributes_of.get(element_id, ()))
+        return tuple(sorted(rows, key=lambda row: row.name))
+
+    def outline_of(self, observation_id: str) -> ImportedOutline | None:
+        """Return the box or polygon that a label was imported with; None if there is none."""
+        return self.outlines.get(outline_id(observation_id))
+
     def is_left_out(self, element_id: str) -> bool:
         """Return whether a person decided that an element belongs in no map."""
         row_ids = self._decisions_of.get(element_id, ())
@@ -202,7 +218,13 @@ class Labels:
         left_out = {row.element_id for row in decisions if row.verdict == "leave out"}
         if not left_out:
             return self
-        kept = (row for row in self.rows() if left_out.isdisjoint(row_elements(row)))
+        gone = {row.id for id_ in left_out for row in self.of_element(id_)}
+        kept = (
+            row
+            for row in self.rows()
+            if left_out.isdisjoint(row_elements(row))
+            and not (isinstance(row, ImportedOutline) and row.observation_id in gone)
+        )
         return self.with_rows(kept)
 
     def find(self, element_id: str, frame_index: int, side: Side) -> Observation | None:
@@ -230,7 +252,7 @@ class Labels:
                 yield StereoPair(self.element(row.element_id), row, right[row.element_id])
 
     def differing(self, before: "Labels") -> set[str]:
-        """Return the ids of elements whose observations, decisions or notes differ, perhaps more.
+        """Return the ids of elements whose labels, decisions, notes or attributes differ, and more.
 
         Rows are compared by identity: fast if one state comes from the other by ``changed``.
         """
@@ -238,6 +260,7 @@ class Labels:
             SharedDict.of(self._of_element).differing(SharedDict.of(before._of_element)),
             SharedDict.of(self._decisions_of).differing(SharedDict.of(before._decisions_of)),
             SharedDict.of(self._notes_of).differing(SharedDict.of(before._notes_of)),
+            SharedDict.of(self._attributes_of).differing(SharedDict.of(before._attributes_of)),
         )
 
     def review(self, frame_index: int) -> ReviewState:
@@ -256,193 +279,40 @@ class Labels:
 Table: TypeAlias = type[SharedDict[Any, Any]] | type[dict[Any, Any]]
 
 
-class Draft:
+class Draft(DraftTables):
     """A mutable copy of a state, which shares all unchanged parts with it.
 
     ``table`` is the mapping type of the copies: ``dict`` is faster if nearly all rows change.
     """
 
     def __init__(self, labels: Labels, table: Table = SharedDict) -> None:
-        self._elements = dict(labels.elements)
-        self._observations = table(labels.observations)
-        self._reviews = table(labels.reviews)
-        self._dismissals = table(labels.dismissals)
-        self._review_decisions = table(labels.review_decisions)
-        self._notes = table(labels.notes)
-        self.next_number = labels.next_number
+        tables: dict[type[Row], MutableMapping[Any, Any]] = {
+            kind: (dict if kind is LabelElement else table)(getattr(labels, name))
+            for kind, name in TABLES.items()
+        }
+        super().__init__(
+            tables,
+            {name: table(getattr(labels, name)) for of in INDICES.values() for name in of},
+            table(labels._numbered),
+            labels.next_number,
+        )
         self._operation = labels.operation
         self._triangle_center = labels.triangle_center
-        self._numbered = table(labels._numbered)
-        self._in_frame = table(labels._in_frame)
-        self._of_element = table(labels._of_element)
-        self._dismissed_in = table(labels._dismissed_in)
-        self._dismissed_of = table(labels._dismissed_of)
-        self._decisions_of = table(labels._decisions_of)
-        self._notes_of = table(labels._notes_of)
-
-    def apply(self, changes: Iterable[RowChange]) -> None:
-        """Apply ``changes`` together. Discard the draft if this raises.
-
-        Raise SemvizError if a row differs from a change's ``before``, an element would have no
-        observation or two in one image, a row would refer to no element, or a number is taken.
-        """
-        changes = tuple(changes)
-        if len({change.key for change in changes}) < len(changes):
-            raise SemvizError("one operation changes the same row twice")
-        tables: dict[type[Row], Mapping[Any, Row]] = {
-            LabelElement: self._elements,
-            Observation: self._observations,
-            Review: self._reviews,
-            Dismissal: self._dismissals,
-            ReviewDecision: self._review_decisions,
-            Note: self._notes,
-        }
-        for change in changes:
-            kind, name = change.key
-            if tables[kind].get(name) != change.before:
-                raise SemvizError(f"{self._name(change)} was changed by someone else meanwhile")
-        for change in changes:
-            self._remove(change)
-        for change in changes:
-            if change.after is not None:
-                self._add(change.after)
-        rows = (row for change in changes for row in (change.before, change.after))
-        for element_id in {element for row in rows for element in row_elements(row)}:
-            self._check(element_id)
-
-    def fill(self, rows: Iterable[Row]) -> None:
-        """Add new rows, in any order; same result as ``apply``, but faster."""
-        for row in rows:
-            self._add(row)
-        indices = (self._of_element, self._dismissed_of, self._decisions_of, self._notes_of)
-        for element_id in self._elements.keys() | {
-            element_id for index in indices for element_id in index
-        }:
-            self._check(element_id)
 
     def labels(self) -> Labels:
         """Return the present state, which is valid until the draft changes again."""
+        tables: dict[str, Any] = {
+            TABLES[kind]: rows if kind is LabelElement else SharedDict.of(rows)
+            for kind, rows in self._tables.items()
+        }
+        indices: dict[str, Any] = {
+            name: SharedDict.of(index) for name, index in self._indices.items()
+        }
         return Labels(
-            self._elements,
-            SharedDict.of(self._observations),
-            SharedDict.of(self._reviews),
-            SharedDict.of(self._dismissals),
-            SharedDict.of(self._review_decisions),
-            SharedDict.of(self._notes),
-            self.next_number,
-            self._operation,
-            self._triangle_center,
-            SharedDict.of(self._numbered),
-            SharedDict.of(self._in_frame),
-            SharedDict.of(self._of_element),
-            SharedDict.of(self._dismissed_in),
-            SharedDict.of(self._dismissed_of),
-            SharedDict.of(self._decisions_of),
-            SharedDict.of(self._notes_of),
+            **tables,
+            next_number=self.next_number,
+            operation=self._operation,
+            triangle_center=self._triangle_center,
+            _numbered=SharedDict.of(self._numbered),
+            **indices,
         )
-
-    def class_of(self, row: Observation) -> int:
-        """Return the class id of an observation's element."""
-        return self._elements[row.element_id].class_id
-
-    def _remove(self, change: RowChange) -> None:
-        row = change.before
-        if isinstance(row, LabelElement):
-            del self._elements[row.id]
-            del self._numbered[row.number]
-        elif isinstance(row, Observation):
-            del self._observations[row.id]
-            _discard(self._in_frame, row.frame_index, row.id)
-            _discard(self._of_element, row.element_id, row.id)
-        elif isinstance(row, Review):
-            del self._reviews[row.frame_index]
-        elif isinstance(row, Dismissal):
-            del self._dismissals[row.id]
-            _discard(self._dismissed_in, row.frame_index, row.id)
-            if row.element_id is not None:
-                _discard(self._dismissed_of, row.element_id, row.id)
-        elif isinstance(row, ReviewDecision):
-            del self._review_decisions[row.id]
-            for element_id in row_elements(row):
-                _discard(self._decisions_of, element_id, row.id)
-        elif isinstance(row, Note):
-            del self._notes[row.id]
-            _discard(self._notes_of, row.element_id, row.id)
-
-    def _add(self, row: Row) -> None:
-        if isinstance(row, LabelElement):
-            if row.number in self._numbered:
-                raise SemvizError(f"element number {row.number} is taken")
-            self._numbered[row.number] = row.id
-            self.next_number = max(self.next_number, row.number + 1)
-            self._elements[row.id] = row
-        elif isinstance(row, Observation):
-            if row.end_px is None and row.end_known:
-                raise SemvizError("an observation without an end has it marked as known")
-            self._observations[row.id] = row
-            _include(self._in_frame, row.frame_index, row.id)
-            _include(self._of_element, row.element_id, row.id)
-        elif isinstance(row, Dismissal):
-            self._dismissals[row.id] = row
-            _include(self._dismissed_in, row.frame_index, row.id)
-            if row.element_id is not None:
-                _include(self._dismissed_of, row.element_id, row.id)
-        elif isinstance(row, ReviewDecision):
-            check_decision(row)
-            self._review_decisions[row.id] = row
-            for element_id in row_elements(row):
-                _include(self._decisions_of, element_id, row.id)
-        elif isinstance(row, Note):
-            if not row.text and not row.unsure:
-                raise SemvizError("a note has a text, or says that its element is unsure")
-            self._notes[row.id] = row
-            _include(self._notes_of, row.element_id, row.id)
-        else:
-            self._reviews[row.frame_index] = row
-
-    def _check(self, element_id: str) -> None:
-        rows = [self._observations[row_id] for row_id in self._of_element.get(element_id, ())]
-        if element_id not in self._elements:
-            if rows:
-                raise SemvizError("some observations would be left without their element")
-            if element_id in self._dismissed_of:
-                raise SemvizError("a dismissal would be left without its element")
-            if element_id in self._decisions_of:
-                raise SemvizError("a decision for the map would be left without its element")
-            if element_id in self._notes_of:
-                raise SemvizError("a note would be left without its element")
-            return
-        number = self._elements[element_id].number
-        if not rows:
-            raise SemvizError(f"element {number} would be left without observations")
-        if len({(row.frame_index, row.side) for row in rows}) < len(rows):
-            raise SemvizError(f"element {number} would have two observations in one image")
-
-    def _name(self, change: RowChange) -> str:
-        row = change.before or change.after
-        if isinstance(row, Review):
-            return f"the review of frame {row.frame_index}"
-        if isinstance(row, Dismissal):
-            return f"a dismissal in frame {row.frame_index}"
-        names = [
-            f"element {self._elements[element].number}"
-            for element in row_elements(row)
-            if element in self._elements
-        ]
-        if isinstance(row, ReviewDecision):
-            return f"the decision about {' and '.join(names) or 'deleted elements'}"
-        if isinstance(row, Note):
-            return f"a note on {' and '.join(names) or 'a deleted element'}"
-        return names[0] if names else "a deleted element"
-
-
-def _include(index: MutableMapping[Any, tuple[str, ...]], key: object, row_id: str) -> None:
-    index[key] = (*index.get(key, ()), row_id)
-
-
-def _discard(index: MutableMapping[Any, tuple[str, ...]], key: object, row_id: str) -> None:
-    remaining = tuple(existing_id for existing_id in index[key] if existing_id != row_id)
-    if remaining:
-        index[key] = remaining
-    else:
-        del index[key]

@@ -1,11 +1,12 @@
-"""The rows of the label state, changes and rules of a row, and the dictionary that holds the rows.
+"""The rows of the label state, changes and rules of a row.
 
 A label element is one physical pole or sign; an observation is that element in one image. Left
 and right image, and all frames, are paired by belonging to one element. Ids are UUIDs of
 version 7 (RFC 9562, 5.7), or of version 8 where they are derived from content (SHA-256). An
 observation must be of a known class, have that class's shape, and lie inside its image.
 
-The dictionary is copied on write, shard by shard: a copy takes a microsecond at any size.
+Fields are hashed with each operation of the log, so they never change: what is new is a row of a
+new type.
 """
 
 import hashlib
@@ -13,17 +14,15 @@ import os
 import re
 import time
 import uuid
-from collections.abc import Iterator, Mapping, MutableMapping, ValuesView
 from dataclasses import dataclass
-from itertools import chain
-from typing import Annotated, Any, ClassVar, Literal, TypeAlias, TypeVar
-from zlib import crc32
+from typing import Annotated, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from pydantic import ConfigDict, Discriminator, Field, Tag
 
 from semviz_core.base.camera import Camera, Rig
-from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet, ClassShape
+from semviz_core.base.classes import Kind as ClassKind
 from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError
 
@@ -187,7 +186,103 @@ class Note:
     __pydantic_config__: ClassVar[ConfigDict] = STRICT
 
 
-Row: TypeAlias = LabelElement | Observation | Review | Dismissal | ReviewDecision | Note
+NAME_PATTERN = r"^[^\s=,;:]([^=,;:\t\n\r]{0,38}[^\s=,;:])?$"
+"""Names of classes and attributes, as filters, options and columns of files can have them."""
+FIRST_OWN_CLASS = len(DEFAULT_CLASSES)
+"""Class ids from here on are a workspace's own."""
+_Color: TypeAlias = Annotated[str, Field(pattern=r"^#[0-9A-F]{6}$")]
+
+
+@dataclass(frozen=True)
+class ClassDeclaration:
+    """A class of the workspace's own; see ``ElementClass``."""
+
+    id: Annotated[int, Field(ge=FIRST_OWN_CLASS, lt=2**15)]
+    """Never reused, not even if the class was removed."""
+    name: Annotated[str, Field(pattern=NAME_PATTERN)]
+    kind: ClassKind
+    letter: Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9]?$")]
+    shape: ClassShape
+    color: _Color
+    color_light: _Color
+    key: Annotated[str, Field(pattern=r"^[5-9]?$")]
+    """The key that chooses the class on the page; empty: none. The classes of every workspace have
+    1 to 4."""
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+
+ValueType: TypeAlias = Literal["text", "number", "flag", "choice"]
+AttributeName: TypeAlias = Annotated[str, Field(pattern=NAME_PATTERN)]
+MAX_VALUE_LENGTH = 200
+"""Characters of the value of an attribute."""
+
+
+@dataclass(frozen=True)
+class AttributeType:
+    """What the values of an attribute are; those of attributes without one are texts."""
+
+    name: AttributeName
+    type: ValueType
+    choices: tuple[Annotated[str, Field(min_length=1, max_length=MAX_VALUE_LENGTH)], ...]
+    """Of the type ``choice``, else empty."""
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+
+@dataclass(frozen=True)
+class Attribute:
+    """What is known of an element besides its class; an element has one value of a name."""
+
+    id: Id
+    """``attribute_id`` of element and name."""
+    element_id: Id
+    name: AttributeName
+    value: Annotated[str, Field(min_length=1, max_length=MAX_VALUE_LENGTH)]
+    """As the type writes it: a number as in Python, a flag as ``yes`` or ``no``."""
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+
+def attribute_id(element_id: str, name: str) -> str:
+    """Return the id of an element's attribute; deterministic."""
+    return derived_id(f"attribute {element_id} {name}")
+
+
+OutlineForm: TypeAlias = Literal["box", "polygon"]
+
+
+@dataclass(frozen=True)
+class ImportedOutline:
+    """The box or polygon that a label was imported with; it stays as it was drawn."""
+
+    id: Id
+    """``outline_id`` of the observation, so it has at most one."""
+    observation_id: Id
+    form: OutlineForm
+    points_px: Annotated[tuple[Pixel, ...], Field(min_length=2, max_length=10_000)]
+    """Of a box its top left and bottom right corner, of a polygon all corners."""
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+
+def outline_id(observation_id: str) -> str:
+    """Return the id of an observation's outline; deterministic."""
+    return derived_id(f"outline {observation_id}")
+
+
+Row: TypeAlias = (
+    LabelElement
+    | Observation
+    | Review
+    | Dismissal
+    | ReviewDecision
+    | Note
+    | ClassDeclaration
+    | AttributeType
+    | Attribute
+    | ImportedOutline
+)
 Key: TypeAlias = tuple[type[Row], str | int]
 TAGS: dict[type[Row], str] = {
     LabelElement: "element",
@@ -196,20 +291,31 @@ TAGS: dict[type[Row], str] = {
     Dismissal: "dismissal",
     ReviewDecision: "judgement",
     Note: "note",
+    ClassDeclaration: "declaration",
+    AttributeType: "attribute_type",
+    Attribute: "attribute",
+    ImportedOutline: "outline",
 }
 
 
 def _row_tag(row: object) -> str:
     """Return the tag of a row, parsed or not, so that pydantic reports errors for that row type."""
     fields = row if isinstance(row, dict) else vars(row) if isinstance(row, Row) else {}
-    tags = {
-        "state": "review",
-        "number": "element",
-        "why": "dismissal",
-        "verdict": "judgement",
-        "unsure": "note",
-    }
-    return next((tag for field, tag in tags.items() if field in fields), "observation")
+    return next((tag for field, tag in _TAG_OF_FIELD.items() if field in fields), "observation")
+
+
+_TAG_OF_FIELD = {
+    "state": "review",
+    "number": "element",
+    "why": "dismissal",
+    "verdict": "judgement",
+    "unsure": "note",
+    "letter": "declaration",
+    "choices": "attribute_type",
+    "value": "attribute",
+    "points_px": "outline",
+}
+"""A field of each type of row that no other type has."""
 
 
 _Tagged: TypeAlias = Annotated[
@@ -218,7 +324,11 @@ _Tagged: TypeAlias = Annotated[
     | Annotated[Review, Tag("review")]
     | Annotated[Dismissal, Tag("dismissal")]
     | Annotated[ReviewDecision, Tag("judgement")]
-    | Annotated[Note, Tag("note")],
+    | Annotated[Note, Tag("note")]
+    | Annotated[ClassDeclaration, Tag("declaration")]
+    | Annotated[AttributeType, Tag("attribute_type")]
+    | Annotated[Attribute, Tag("attribute")]
+    | Annotated[ImportedOutline, Tag("outline")],
     Discriminator(_row_tag),
 ]
 
@@ -247,7 +357,12 @@ class RowChange:
 
 def row_key(row: Row) -> Key:
     """Return the type and id of a row."""
-    return (Review, row.frame_index) if isinstance(row, Review) else (type(row), row.id)
+    match row:
+        case Review():
+            return Review, row.frame_index
+        case AttributeType():
+            return AttributeType, row.name
+    return type(row), row.id
 
 
 def row_elements(row: Row | None) -> tuple[str, ...]:
@@ -255,7 +370,7 @@ def row_elements(row: Row | None) -> tuple[str, ...]:
     match row:
         case LabelElement():
             return (row.id,)
-        case Observation() | Note():
+        case Observation() | Note() | Attribute():
             return (row.element_id,)
         case ReviewDecision():
             return (row.element_id,) if row.other_id is None else (row.element_id, row.other_id)
@@ -329,90 +444,3 @@ class Rules:
                 f"point ({point[0]:.1f}, {point[1]:.1f}) is outside the {side} image "
                 f"({camera.width}x{camera.height})"
             )
-
-
-SHARDS = 256
-"""Number of shards: a few hundred entries each at 100,000."""
-
-K = TypeVar("K", bound=str | int)
-V = TypeVar("V")
-_EMPTY: dict[Any, Any] = {}
-
-
-class SharedDict(MutableMapping[K, V]):
-    """A copy-on-write dictionary, copied by its constructor.
-
-    Iteration goes by shard, then by insertion: the same order in every process.
-    """
-
-    __slots__ = ("_own", "_shards")
-
-    def __init__(self, entries: Mapping[K, V] = _EMPTY) -> None:
-        self._own: set[int] = set()
-        """Shards that no copy shares, so they can change in place."""
-        self._shards: list[dict[K, V]] = [_EMPTY] * SHARDS
-        if isinstance(entries, SharedDict):
-            entries._own.clear()
-            self._shards = entries._shards.copy()
-        elif entries:
-            shards: list[dict[K, V]] = [{} for _ in range(SHARDS)]
-            for key, value in entries.items():
-                shards[_index(key)][key] = value
-            self._shards = shards
-
-    @classmethod
-    def of(cls, entries: Mapping[K, V]) -> "SharedDict[K, V]":
-        """Return ``entries``, converted unless they are a ``SharedDict`` already."""
-        return entries if isinstance(entries, cls) else cls(entries)
-
-    def __getitem__(self, key: K) -> V:
-        return self._shards[_index(key)][key]
-
-    def __setitem__(self, key: K, value: V) -> None:
-        self._shard_to_change(key)[key] = value
-
-    def __delitem__(self, key: K) -> None:
-        del self._shard_to_change(key)[key]
-
-    def __iter__(self) -> Iterator[K]:
-        return chain.from_iterable(self._shards)
-
-    def values(self) -> ValuesView[V]:
-        return _Values(self)
-
-    def __len__(self) -> int:
-        return sum(map(len, self._shards))
-
-    def __repr__(self) -> str:
-        return repr(dict(self))
-
-    def differing(self, other: "SharedDict[K, V]") -> set[K]:
-        """Return the keys whose values are different objects, or that only one dictionary has."""
-        pairs = zip(self._shards, other._shards, strict=True)
-        return {
-            key
-            for first, second in pairs
-            if first is not second
-            for key in first.keys() | second.keys()
-            if first.get(key) is not second.get(key)
-        }
-
-    def _shard_to_change(self, key: K) -> dict[K, V]:
-        index = _index(key)
-        if index not in self._own:
-            self._shards[index] = self._shards[index].copy()
-            self._own.add(index)
-        return self._shards[index]
-
-
-class _Values(ValuesView[V]):
-    """Iterates over the shards without looking up each key."""
-
-    _mapping: SharedDict[Any, V]
-
-    def __iter__(self) -> Iterator[V]:
-        return chain.from_iterable(shard.values() for shard in self._mapping._shards)
-
-
-def _index(key: str | int) -> int:
-    return (key if isinstance(key, int) else crc32(key.encode())) % SHARDS

@@ -15,7 +15,12 @@ from semviz_annotation.label_formats.reading import quoted
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.rows import Observation, Pixel
 from semviz_annotation.labels.views import PosedView, rig_view
-from semviz_annotation.map_formats.conversion import ConversionTally, drop_history, unseen_ends
+from semviz_annotation.map_formats.attributes import drop_attributes
+from semviz_annotation.map_formats.conversion import (
+    ConversionTally,
+    drop_history,
+    unseen_ends,
+)
 from semviz_core.base.camera import Camera
 from semviz_core.base.frame import Dataset, Side
 from semviz_core.base.semantic_map import SemanticMap
@@ -84,6 +89,7 @@ def write_colmap(
     tally.drop("classes: colours only", len(semantic_map))
     tally.drop("standard deviations and correlations", len(semantic_map))
     drop_history(semantic_map, tally)
+    drop_attributes(semantic_map, tally)
     return tally
 
 

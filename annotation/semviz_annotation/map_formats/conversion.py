@@ -10,13 +10,14 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from semviz_annotation.label_formats.reading import (
     IGNORE,
     MOST_ITEMS,
+    MOST_KINDS,
     MOST_XML_BYTES,
     class_named,
     number,
@@ -28,20 +29,16 @@ from semviz_annotation.map_formats.sign_codes import OSM_TAGS, osm_codes, sign_c
 from semviz_core.base.classes import DEFAULT_CLASSES, OLDER_CENTER, ClassSet, TriangleCenter
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
-from semviz_core.common.arrays import FloatArray, float_array
+from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import parsing_xml
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-    from numpy.typing import ArrayLike
-
 
 LOG_ODDS = "existence_log_odds"
 """Name of ``Provenance.log_odds`` in files."""
-MOST_KINDS = 100
-"""Largest number of different entries."""
 
 
 @dataclass
@@ -180,6 +177,7 @@ class ParsedElement:
     anchor_known: bool = True
     end_known: bool = True
     provenance: Provenance = field(default_factory=Provenance)
+    attributes: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass
@@ -314,9 +312,10 @@ def map_of(parsed: ParsedMap, context: MapImportContext, made_by: str) -> Semant
         sum(row.covariance_m2 is None for row in rows),
     )
     is_line = np.array([row.end_m is not None for row in rows])
+    ids = _ids(rows, tally)
     ends = [np.full(3, np.nan) if row.end_m is None else row.end_m for row in rows]
     elements = Elements3D(
-        id=np.array(_ids(rows, tally)),
+        id=np.array(ids),
         anchor_m=np.array([row.anchor_m for row in rows]),
         end_m=np.array(ends),
         class_id=np.array([row.class_id for row in rows]),
@@ -333,6 +332,9 @@ def map_of(parsed: ParsedMap, context: MapImportContext, made_by: str) -> Semant
         provenance=provenance if any(origin.label_ids for origin in provenance) else (),
         made_by=made_by,
         triangle_center=parsed.triangle_center,
+        attributes={
+            id_: row.attributes for id_, row in zip(ids, rows, strict=True) if row.attributes
+        },
     )
 
 
@@ -438,13 +440,3 @@ def raised(point_m: FloatArray, context: MapImportContext, parsed: ParsedMap) ->
 def upper_first(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return two ends of a pole, the upper one first."""
     return (first, second) if first[2] >= second[2] else (second, first)
-
-
-def checked_covariance(value: object, name: str) -> FloatArray:
-    """Return a covariance (6, 6) from a nested list of 6 by 6 numbers, or 3 by 3 for a point."""
-    array = float_array(cast("ArrayLike", value), (None, None), name)
-    if array.shape not in ((3, 3), (6, 6)):
-        raise SemvizError(f"{name} is not a matrix of 3 by 3 or 6 by 6 numbers")
-    full = np.zeros((6, 6))
-    full[: len(array), : len(array)] = array
-    return full

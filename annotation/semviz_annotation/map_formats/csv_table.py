@@ -9,6 +9,7 @@ import numpy as np
 
 from semviz_annotation.label_formats.reading import MOST_JSON_BYTES, at, number, quoted, read_bytes
 from semviz_annotation.map_formats import conversion
+from semviz_annotation.map_formats.attributes import parsed_attributes
 from semviz_annotation.map_formats.conversion import LOG_ODDS, ConversionTally, drop_history
 from semviz_core.base.classes import OLDER_CENTER, parse_triangle_center
 from semviz_core.base.semantic_map import SemanticMap
@@ -21,6 +22,8 @@ END = ("end_x_m", "end_y_m", "end_z_m")
 SIGMA = tuple(f"sigma_{name}" for name in (*ANCHOR, *END))
 KNOWN = ("anchor_known", "end_known")
 CENTER = "triangle_center"
+ATTRIBUTE = "attribute:"
+"""Prefix of a column; the name of the attribute follows."""
 COLUMNS = ("id", "class", "frame", *ANCHOR, *END, *SIGMA, *KNOWN, CENTER)
 _NEEDED = ("class", *ANCHOR)
 _FLAGS = {"true": True, "false": False, "1": True, "0": False, "": True}
@@ -32,7 +35,9 @@ def write_csv(semantic_map: SemanticMap, path: Path) -> ConversionTally:
     sigmas = np.sqrt(np.diagonal(elements.covariance_m2, axis1=1, axis2=2))
     log_odds = [entry.log_odds for entry in semantic_map.provenance]
     has_odds = any(odds is not None for odds in log_odds)
-    rows: list[Sequence[object]] = [[*COLUMNS, LOG_ODDS] if has_odds else COLUMNS]
+    names = sorted({name for values in semantic_map.attributes.values() for name in values})
+    header = [*COLUMNS, *([LOG_ODDS] if has_odds else []), *(ATTRIBUTE + name for name in names)]
+    rows: list[Sequence[object]] = [header]
     for row, is_line in enumerate(elements.is_line.tolist()):
         name = semantic_map.classes[int(elements.class_id[row])].name
         end, end_sigmas = elements.end_m[row].tolist(), sigmas[row, 3:].tolist()
@@ -42,7 +47,9 @@ def write_csv(semantic_map: SemanticMap, path: Path) -> ConversionTally:
              *(end_sigmas if is_line else [""] * 3),
              *(str(bool(getattr(elements, flag)[row])).lower() for flag in KNOWN),
              semantic_map.triangle_center,
-             *(["" if log_odds[row] is None else log_odds[row]] if has_odds else [])]
+             *(["" if log_odds[row] is None else log_odds[row]] if has_odds else []),
+             *(semantic_map.attributes.get(int(elements.id[row]), {}).get(name, "")
+               for name in names)]
         )  # fmt: skip
     with replacing(path) as temporary:
         temporary.write_text(csv_text(rows), encoding="utf-8", newline="")
@@ -76,7 +83,7 @@ def read_csv(path: Path, context: conversion.MapImportContext) -> conversion.Par
     except (UnicodeDecodeError, csv.Error) as error:
         raise SemvizError(f"not a CSV table ({error})") from None
     for name in header:
-        if name not in COLUMNS:
+        if name not in COLUMNS and not name.startswith(ATTRIBUTE):
             parsed.tally.drop(f"columns {quoted(name)}")
     return parsed
 
@@ -102,8 +109,12 @@ def _read_row(
         raise SemvizError(f"{name} {'without' if is_line else 'with'} an end; {', '.join(END)}")
     anchor_known, end_known = (_flag(values.get(name, ""), name) for name in KNOWN)
     id_, covariance = conversion.parse_integer(values.get("id")), _covariance(values, is_line)
+    own = {name: text for name, text in values.items() if name.startswith(ATTRIBUTE) and text}
+    attributes = parsed_attributes({name.removeprefix(ATTRIBUTE): own[name] for name in own})
     parsed.add(
-        conversion.ParsedElement(class_id, anchor, end, id_, covariance, anchor_known, end_known)
+        conversion.ParsedElement(
+            class_id, anchor, end, id_, covariance, anchor_known, end_known, attributes=attributes
+        )
     )
     return None
 

@@ -7,7 +7,7 @@ written file names the map frame and its origin.
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -24,13 +24,17 @@ from semviz_annotation.label_formats.reading import (
     read_json,
 )
 from semviz_annotation.map_formats import conversion
+from semviz_annotation.map_formats.attributes import parsed_attributes
 from semviz_annotation.map_formats.conversion import LOG_ODDS, ConversionTally, as_json, drop_making
 from semviz_annotation.map_formats.georeference import Georeference, require_georeference
 from semviz_core.base.classes import parse_triangle_center
 from semviz_core.base.semantic_map import Provenance, SemanticMap
-from semviz_core.common.arrays import FloatArray
+from semviz_core.common.arrays import FloatArray, float_array
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 NEEDS_PLACE = "GeoJSON is in longitude and latitude"
 """Why an export needs the place of the map's origin."""
@@ -43,7 +47,8 @@ OTHER_TAGS = "other_tags"
 _HSTORE = re.compile(r'"((?:[^"\\]|\\.)*)"=>"((?:[^"\\]|\\.)*)"')
 _WGS84 = ("CRS84", "4326", "4979")
 _OURS = frozenset({"class", "id", "anchor_known", "end_known", "covariance_enu_m2", "label_ids",
-                   "observation_ids", LOG_ODDS, "height", "@id", "osm_id", OTHER_TAGS})  # fmt: skip
+                   "observation_ids", LOG_ODDS, "height", "attributes", "@id", "osm_id",
+                   OTHER_TAGS})  # fmt: skip
 
 
 def write_geojson(
@@ -93,6 +98,9 @@ def _features(semantic_map: SemanticMap, place: Georeference) -> list[dict[str, 
             "label_ids": provenance[row].label_ids,
             "observation_ids": provenance[row].observation_ids,
         }
+        attributes = semantic_map.attributes.get(int(elements.id[row]), {})
+        if attributes:
+            properties["attributes"] = attributes
         if provenance[row].log_odds is not None:
             properties[LOG_ODDS] = provenance[row].log_odds
         if is_line:
@@ -199,6 +207,7 @@ def _read_feature(
                     _texts(properties, "observation_ids"),
                     None if odds is None else float(json_number(odds)),
                 ),
+                parsed_attributes(as_object(properties.get("attributes") or {})),
             )
         )
     return None
@@ -293,7 +302,7 @@ def _covariance(
     """Return the covariance (6, 6) in the axes of the map; None if the file has none."""
     if properties.get("covariance_enu_m2") is None:
         return None
-    matrix = conversion.checked_covariance(properties["covariance_enu_m2"], "covariance_enu_m2")
+    matrix = checked_covariance(properties["covariance_enu_m2"], "covariance_enu_m2")
     if not is_line and matrix[3:].any():
         raise SemvizError("covariance_enu_m2 of a sign has 6 rows; it has 3 coordinates only")
     J = np.kron(np.eye(2), place.rotation.T)
@@ -308,3 +317,13 @@ def _texts(properties: Mapping[str, Any], name: str) -> tuple[str, ...]:
     if properties.get(name) is None:
         return ()
     return tuple(as_text(text, name) for text in listed(properties, name))
+
+
+def checked_covariance(value: object, name: str) -> FloatArray:
+    """Return a covariance (6, 6) from a nested list of 6 by 6 numbers, or 3 by 3 for a point."""
+    array = float_array(cast("ArrayLike", value), (None, None), name)
+    if array.shape not in ((3, 3), (6, 6)):
+        raise SemvizError(f"{name} is not a matrix of 3 by 3 or 6 by 6 numbers")
+    full = np.zeros((6, 6))
+    full[: len(array), : len(array)] = array
+    return full

@@ -17,6 +17,7 @@ import numpy as np
 
 from semviz_annotation.label_formats.reading import IGNORE, at, number, quoted
 from semviz_annotation.map_formats import conversion
+from semviz_annotation.map_formats.attributes import parsed_attributes
 from semviz_annotation.map_formats.georeference import (
     Georeference,
     fitted_georeference,
@@ -32,6 +33,8 @@ from semviz_core.common.files import replacing
 NEEDS_PLACE = "Lanelet2's files are in latitude and longitude"
 """Why an export needs the place of the map's origin."""
 CLASS, ELEMENT = "semviz:class", "semviz:id"
+ATTRIBUTE = "semviz:attribute:"
+"""Prefix of a tag; the name of the attribute follows."""
 ANCHOR_KNOWN, END_KNOWN, NO = "semviz:anchor_known", "semviz:end_known", "no"
 POLE_TYPE, SIGN_TYPE = "pole", "traffic_sign"
 _PLACE = ("anchor_latitude", "anchor_longitude", "anchor_height", "x_heading_deg")
@@ -105,6 +108,8 @@ def _tags(semantic_map: SemanticMap, row: int, is_line: bool) -> dict[str, str]:
     odds = semantic_map.provenance[row].log_odds if semantic_map.provenance else None
     if odds is not None:
         tags[f"semviz:{conversion.LOG_ODDS}"] = f"{odds:.3f}"
+    for name, value in semantic_map.attributes.get(int(elements.id[row]), {}).items():
+        tags[f"{ATTRIBUTE}{name}"] = value
     if not elements.anchor_known[row]:
         tags[ANCHOR_KNOWN] = NO
     if is_line and not elements.end_known[row]:
@@ -276,6 +281,8 @@ def _add(
     parsed: conversion.ParsedMap, context: conversion.MapImportContext,
 ) -> None:  # fmt: skip
     id_ = conversion.parse_integer(tags.get(ELEMENT, way.get("id")))
+    own = {key.removeprefix(ATTRIBUTE): tags[key] for key in tags if key.startswith(ATTRIBUTE)}
+    attributes = parsed_attributes(own)
     anchor_known, end_known = (tags.get(name) != NO for name in (ANCHOR_KNOWN, END_KNOWN))
     if context.classes[class_id].kind == "line":
         if len(points) < 2:
@@ -284,7 +291,9 @@ def _add(
         if CLASS not in tags:  # other tools: in any order
             peak, bottom = conversion.upper_first(peak, bottom)
         parsed.add(
-            conversion.ParsedElement(class_id, peak, bottom, id_, None, anchor_known, end_known)
+            conversion.ParsedElement(
+                class_id, peak, bottom, id_, None, anchor_known, end_known, attributes=attributes
+            )
         )
         return None
     middle = 0.5 * (points[0] + points[-1])
@@ -292,5 +301,9 @@ def _add(
         middle = middle + np.array([0.0, 0.0, 0.5 * number(tags["height"])])
     else:
         parsed.tally.assume("middles of signs: their lower edge where they have no height")
-    parsed.add(conversion.ParsedElement(class_id, middle, None, id_, None, anchor_known))
+    parsed.add(
+        conversion.ParsedElement(
+            class_id, middle, None, id_, None, anchor_known, attributes=attributes
+        )
+    )
     return None

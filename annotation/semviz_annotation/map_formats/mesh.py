@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semviz_annotation.map_formats import conversion
+from semviz_annotation.map_formats.attributes import drop_attributes
 from semviz_annotation.mapping.backdrop import Backdrop
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray, IntArray
@@ -102,6 +103,7 @@ def write_mesh(
         temporary.write_bytes(content)
     tally = conversion.ConversionTally()
     conversion.drop_all_but_places(semantic_map, tally)
+    drop_attributes(semantic_map, tally)
     tally.drop("ends that nobody saw: drawn like the others", conversion.unseen_ends(semantic_map))
     tally.drop("numbers and classes: colours only", len(semantic_map))
     tally.drop("digits: coordinates are of single precision", len(semantic_map))

@@ -7,7 +7,7 @@ The report counts how the labels were used.
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from types import MappingProxyType
@@ -35,7 +35,6 @@ from semviz_annotation.mapping.paper_baseline import PaperOptions, paper_tracks
 from semviz_annotation.mapping.placement.bundle_adjustment import RefineOptions, with_pose_errors
 from semviz_annotation.mapping.placement.observations import LabelObservations, collect_observations
 from semviz_annotation.mapping.placement.reprojection import PlaceOptions
-from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.frame import Dataset
 from semviz_core.base.semantic_map import Decision, Provenance, SemanticMap
@@ -76,6 +75,22 @@ def map_elements(
     )
     provenance = list(_provenance(tracks, log_odds))
     return elements, tuple(provenance[row] for row in rows.tolist())
+
+
+def attributes_of_elements(
+    elements: Elements3D, provenance: Sequence[Provenance], labels: Labels
+) -> dict[int, dict[str, str]]:
+    """Return the attributes of map elements that have any; of two values, the label element with
+    the smaller number has the right one."""
+    found: dict[int, dict[str, str]] = {}
+    for id_, origin in zip(elements.id.tolist(), provenance, strict=True):
+        members = [labels.elements[row] for row in origin.label_ids if row in labels.elements]
+        members.sort(key=lambda element: -element.number)
+        rows = (row for element in members for row in labels.attributes_of(element.id))
+        values = {row.name: row.value for row in rows}
+        if values:
+            found[id_] = dict(sorted(values.items()))
+    return found
 
 
 def _ids(tracks: Tracks) -> IntArray:
@@ -302,7 +317,6 @@ def build_map(
     source: Dataset,
     options: Options = DEFAULT_OPTIONS,
     frames: Collection[int] | None = None,
-    classes: ClassSet = DEFAULT_CLASSES,
     on_progress: OnProgress = lambda what, done, of: None,
     detections: Proposals | None = None,
     tracking: TrackOptions = DEFAULT_TRACKING,
@@ -341,7 +355,7 @@ def build_map(
     semantic_map = SemanticMap(
         elements=elements,
         frame=source.map_frame,
-        classes=classes,
+        classes=labels.classes,
         trajectory_m=views.center_m[~views.is_right],
         provenance=provenance,
         decisions=decisions,
@@ -349,6 +363,7 @@ def build_map(
         settings=settings_of(options, frames, tracking if joined else None),
         operation=labels.operation,
         triangle_center=labels.triangle_center,
+        attributes=attributes_of_elements(elements, provenance, labels),
     )
     return semantic_map, BuildReport.of(semantic_map, gathered, joined)
 
@@ -409,7 +424,6 @@ def rebuild_map(
         source,
         options,
         frames,
-        old.classes,
         on_progress,
         detections,
         tracking or DEFAULT_TRACKING,

@@ -212,11 +212,10 @@ def _check_unused(path: Path) -> None:
 
 FORMAT = "semviz-operations"
 MOST_LOG_BYTES = 2**30
-"""An operation has about 500 bytes."""
-_CENTROID_VERSIONS = (4, tables.VERSION)
-"""Logs have the versions of files. Version 1 had neither hashes nor texts, version 2 no review
-decisions, versions up to 4 no notes. These mark triangular signs at their centroid, others at the
-middle of their box.
+"""An operation has about 500 bytes.
+
+Logs have the versions of files. Version 1 had neither hashes nor texts, version 2 no review
+decisions, versions up to 4 no notes, versions up to 6 no classes of their own.
 
 Later logs also tell their number of operations and the hash of the last one.
 """
@@ -325,7 +324,7 @@ class _Header:
     @property
     def center(self) -> TriangleCenter:
         """What the labels of triangular signs mark, by the version."""
-        return NEW_CENTER if self.version in _CENTROID_VERSIONS else OLDER_CENTER
+        return NEW_CENTER if self.version in tables.CENTROID_VERSIONS else OLDER_CENTER
 
 
 _HEADER = TypeAdapter(_Header)

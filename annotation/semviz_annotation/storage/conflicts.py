@@ -12,6 +12,10 @@ from typing import TypeAlias
 from semviz_annotation.labels.edits import AnyEdit
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.rows import (
+    Attribute,
+    AttributeType,
+    ClassDeclaration,
+    ImportedOutline,
     Key,
     LabelElement,
     Note,
@@ -26,7 +30,6 @@ from semviz_annotation.labels.rows import (
 )
 from semviz_annotation.storage import tables
 from semviz_annotation.storage.operations import ConflictError, EditBase, Operation, Writer
-from semviz_core.base.classes import ClassSet
 from semviz_core.common.errors import SemvizError
 
 Changes: TypeAlias = tuple[RowChange, ...]
@@ -54,10 +57,9 @@ def _moves_both_ends(before: Row, after: Row) -> bool:
 class ConflictChecker:
     """Explains conflicts of an edit with the present state, from the log."""
 
-    def __init__(self, connection: sqlite3.Connection, labels: Labels, classes: ClassSet) -> None:
+    def __init__(self, connection: sqlite3.Connection, labels: Labels) -> None:
         self._connection = connection
         self._labels = labels
-        self._classes = classes
 
     def changes_of(self, edit: AnyEdit, rules: Rules, base: EditBase | None) -> Changes:
         """Return the row changes of ``edit``.
@@ -172,6 +174,7 @@ class ConflictChecker:
             rows += self._labels.dismissed_of(element_id)
             rows += self._labels.decisions_of(element_id)
             rows += self._labels.notes_of(element_id)
+            rows += self._labels.attributes_of(element_id)
             for row in rows:
                 key = row_key(row)
                 writer = tables.last_writer(self._connection, [key])
@@ -188,13 +191,20 @@ class ConflictChecker:
         )
 
     def _name(self, row: Row) -> str:
-        if isinstance(row, Review):
-            return f"the review of frame {row.frame_index}"
+        match row:
+            case Review():
+                return f"the review of frame {row.frame_index}"
+            case ClassDeclaration() | AttributeType():
+                return f"the declaration of {row.name}"
+            case ImportedOutline():
+                return "an imported outline"
         elements = [
             element for element in map(self._element, row_elements(row)) if element is not None
         ]
         names = [
-            self._classes.element_name(element.class_id, element.number) for element in elements
+            self._labels.classes.element_name(element.class_id, element.number)
+            for element in elements
+            if element.class_id in self._labels.classes
         ]
         if not names:
             return "a proposal"
@@ -205,6 +215,8 @@ class ConflictChecker:
                 return f"the decision about {' and '.join(names)}"
             case Note():
                 return f"a note on {names[0]}"
+            case Attribute():
+                return f"{row.name} of {names[0]}"
         return f"{names[0]} in the {row.side} image of frame {row.frame_index}"
 
     def _element(self, element_id: str) -> LabelElement | None:

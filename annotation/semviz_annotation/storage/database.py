@@ -100,11 +100,37 @@ CREATE TABLE notes (
 );
 CREATE INDEX notes_of_element ON notes (element_id);
 """
+_SINCE_7 = """
+CREATE TABLE declarations (
+    id INTEGER PRIMARY KEY,
+    name TEXT NOT NULL UNIQUE,
+    kind TEXT NOT NULL CHECK (kind IN ('line', 'point')),
+    letter TEXT NOT NULL UNIQUE,
+    shape TEXT NOT NULL,
+    color TEXT NOT NULL,
+    color_light TEXT NOT NULL,
+    key TEXT NOT NULL
+);
+CREATE TABLE attribute_types (name TEXT PRIMARY KEY, type TEXT NOT NULL, choices TEXT NOT NULL);
+CREATE TABLE attributes (
+    id TEXT PRIMARY KEY,
+    element_id TEXT NOT NULL REFERENCES elements DEFERRABLE INITIALLY DEFERRED,
+    name TEXT NOT NULL,
+    value TEXT NOT NULL,
+    UNIQUE (element_id, name)
+);
+CREATE TABLE outlines (
+    id TEXT PRIMARY KEY,
+    observation_id TEXT NOT NULL UNIQUE REFERENCES observations DEFERRABLE INITIALLY DEFERRED,
+    form TEXT NOT NULL CHECK (form IN ('box', 'polygon')),
+    points TEXT NOT NULL
+);
+"""
 
 
 def make(connection: sqlite3.Connection, center: TriangleCenter = NEW_CENTER) -> None:
     """Create the tables in an empty file, within the open transaction."""
-    _run(connection, _STATE + _SINCE_2 + _SINCE_3 + _SINCE_5)
+    _run(connection, _STATE + _SINCE_2 + _SINCE_3 + _SINCE_5 + _SINCE_7)
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     define_triangles(connection, center)
 
@@ -125,8 +151,10 @@ def upgrade(connection: sqlite3.Connection, version: int) -> None:
         _seal_operations(connection)
     if version < 3:
         _run(connection, _SINCE_3)
-    _run(connection, _SINCE_5)
-    new = tables.WITHOUT_NOTES.get(version, tables.OLDER_VERSION)
+    if version < 5:
+        _run(connection, _SINCE_5)
+    _run(connection, _SINCE_7)
+    new = tables.VERSION if version in tables.CENTROID_VERSIONS else tables.OLDER_VERSION
     connection.execute(f"PRAGMA user_version = {new}")
 
 

@@ -17,8 +17,10 @@ from typing import Literal
 from semviz_annotation.labels import rows
 from semviz_annotation.labels.edits import AnyEdit
 from semviz_annotation.labels.labels import Draft, Labels
+from semviz_annotation.labels.own_classes import check_classes
 from semviz_annotation.storage import placement, tables, teamwork
 from semviz_annotation.storage.conflicts import ConflictChecker
+from semviz_annotation.storage.declarations import free_class_id
 from semviz_annotation.storage.label_file import BackgroundCheck, Health, LabelFile, LabelFileError
 from semviz_annotation.storage.operations import (
     BrokenOperationError,
@@ -34,9 +36,7 @@ from semviz_annotation.storage.operations import (
 from semviz_annotation.storage.teamwork import AssignedFrames, Tally
 from semviz_core.base.camera import Rig
 from semviz_core.base.classes import (
-    DEFAULT_CLASSES,
     NEW_CENTER,
-    ClassSet,
     TriangleCenter,
     describe_center,
 )
@@ -63,9 +63,9 @@ MAX_NAME_LENGTH = 100
 class LabelStore:
     """An open label file. Threads may share it; several processes may open the file at once."""
 
-    def __init__(self, file: LabelFile, rules: rows.Rules) -> None:
+    def __init__(self, file: LabelFile, rig: Rig | None) -> None:
         self.path = file.path
-        self.rules = rules
+        self.rig = rig
         self._file = file
         self._check: BackgroundCheck | None = None
 
@@ -73,7 +73,6 @@ class LabelStore:
     def open(
         cls,
         path: Path,
-        classes: ClassSet = DEFAULT_CLASSES,
         rig: Rig | None = None,
         triangle_center: TriangleCenter = NEW_CENTER,
     ) -> "LabelStore":
@@ -85,7 +84,7 @@ class LabelStore:
         """
         if not path.parent.is_dir():
             raise SemvizError(f"{path}: there is no such folder; create it with 'semviz new'")
-        return cls(LabelFile(path, triangle_center), rows.Rules(classes, rig))
+        return cls(LabelFile(path, triangle_center), rig)
 
     def close(self) -> None:
         if self._check is not None:
@@ -118,6 +117,11 @@ class LabelStore:
         """The newest state, including what other processes have written."""
         with self._file.reading():
             return self._file.labels
+
+    @property
+    def rules(self) -> rows.Rules:
+        """The present classes, and the image sizes, that labels are checked against."""
+        return rows.Rules(self.labels.classes, self.rig)
 
     @property
     def last_operation(self) -> int:
@@ -197,11 +201,13 @@ class LabelStore:
         """Return the last operations on reviews by frame, the work by author, assigned frames."""
         with self._file.reading():
             connection = self._file.connection
-            return (
-                teamwork.review_writers(connection),
-                teamwork.tallies(connection),
-                teamwork.assignments(connection),
-            )
+            reviews, tallies = teamwork.review_writers(connection), teamwork.tallies(connection)
+            return reviews, tallies, teamwork.assignments(connection)
+
+    def free_class_id(self) -> int:
+        """Return an id that no class ever had."""
+        with self._file.reading():
+            return free_class_id(self._file.connection)
 
     def undoable(self, author: str) -> int | None:
         """Return the number of the author's last edit that is not undone; None if there is none."""
@@ -235,7 +241,8 @@ class LabelStore:
         """
 
         def operation(number: int, request_id: str) -> Operation:
-            changes = self._conflicts().changes_of(edit, self.rules, base)
+            rules = rows.Rules(self._file.labels.classes, self.rig)
+            changes = self._conflicts().changes_of(edit, rules, base)
             return Operation(number, request_id, author, origin, _now(), edit.kind, changes)
 
         return self._commit(operation, edit.kind, author, request_id, base)
@@ -399,7 +406,9 @@ class LabelStore:
             operation = sealed(operation, self._file.hash)
             if operation.origin == "machine":
                 self._conflicts().check_machine(operation.changes)
-            self._file.append(operation, labels.changed(operation.changes))
+            changed = labels.changed(operation.changes)
+            check_classes(operation.changes, changed.classes)  # an undo may need a removed one
+            self._file.append(operation, changed)
             return operation
 
     @staticmethod
@@ -410,11 +419,12 @@ class LabelStore:
             raise SemvizError("its hash is wrong; it was altered after it was written")
 
     def _check_rows(self, operation: Operation, draft: Draft) -> None:
+        rules = rows.Rules(draft.classes, self.rig)
         for change in operation.changes:
             if isinstance(change.after, rows.LabelElement):
-                self.rules.check_class(change.after)
+                rules.check_class(change.after)
             elif isinstance(change.after, rows.Observation):
-                self.rules.check(change.after, draft.class_of(change.after))
+                rules.check(change.after, draft.class_of(change.after))
 
     def _first_applicable(
         self, what: str, numbers: Iterator[int], base: EditBase | None
@@ -433,7 +443,7 @@ class LabelStore:
         raise SemvizError(f"Cannot {what} {skipped}." if skipped else f"Nothing to {what}.")
 
     def _conflicts(self) -> ConflictChecker:
-        return ConflictChecker(self._file.connection, self._file.labels, self.rules.classes)
+        return ConflictChecker(self._file.connection, self._file.labels)
 
 
 def _now() -> str:

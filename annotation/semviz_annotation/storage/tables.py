@@ -4,24 +4,33 @@ Former states are computed from the log: forwards from its start, or backwards f
 state.
 """
 
+import json
 import sqlite3
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.rows import (
     TAGS,
+    Attribute,
+    AttributeType,
+    ClassDeclaration,
     Dismissal,
+    ImportedOutline,
     Key,
     LabelElement,
     Note,
     Observation,
+    Pixel,
     Review,
     ReviewDecision,
     Row,
     RowChange,
     row_key,
 )
+from semviz_annotation.storage.declarations import read_declarations
 from semviz_annotation.storage.operations import CHANGES, NO_HASH, Operation, Writer
 from semviz_core.base.classes import OLDER_CENTER, TriangleCenter
 from semviz_core.common.errors import SemvizError
@@ -126,10 +135,10 @@ def read_labels(connection: sqlite3.Connection) -> Labels:
     return Labels.from_rows(_rows(connection), next_number, last, read_triangle_center(connection))
 
 
-VERSION, OLDER_VERSION = 6, 5
+VERSION, OLDER_VERSION = 8, 7
 """Versions of files whose triangular signs are labelled at their centroid, and of others."""
-WITHOUT_NOTES = {4: VERSION, 3: OLDER_VERSION}
-"""The same of files without a table of notes, and what they become."""
+CENTROID_VERSIONS = frozenset({4, 6, VERSION})
+"""The same of all times; 5 and 6 had no classes of their own, versions before these no notes."""
 _CENTROID = "triangle centroid"
 """Name of the counter that is 1 if triangular signs are labelled at their centroid."""
 
@@ -161,6 +170,10 @@ _TYPES = {
     "dismissals": "tittT",
     "judgements": "tttT",
     "notes": "ttIittt",
+    "declarations": "ittttttt",
+    "attribute_types": "ttt",
+    "attributes": "tttt",
+    "outlines": "tttt",
     "counters": "ti",
 }
 """The type of each column, by the letters of ``_TYPE_NAMES``."""
@@ -188,6 +201,10 @@ def _check_types(connection: sqlite3.Connection) -> None:
             raise SemvizError(f"a value in the table of {table} has another type")
 
 
+_CHOICES: TypeAdapter[tuple[str, ...]] = TypeAdapter(tuple[str, ...])
+_POINTS: TypeAdapter[tuple[Pixel, ...]] = TypeAdapter(tuple[Pixel, ...])
+
+
 def _rows(connection: sqlite3.Connection) -> Iterator[Row]:
     for row in connection.execute("SELECT id, number, class_id FROM elements"):
         yield LabelElement(*row)
@@ -207,6 +224,13 @@ def _rows(connection: sqlite3.Connection) -> Iterator[Row]:
         "SELECT id, element_id, frame_index, unsure, text, author, time FROM notes"
     ):
         yield Note(id_, element, frame, bool(unsure), *written)
+    yield from read_declarations(connection)
+    for name, type_, choices in connection.execute("SELECT * FROM attribute_types"):
+        yield AttributeType(name, type_, _CHOICES.validate_json(choices))
+    for row in connection.execute("SELECT * FROM attributes"):
+        yield Attribute(*row)
+    for id_, observation, form, points in connection.execute("SELECT * FROM outlines"):
+        yield ImportedOutline(id_, observation, form, _POINTS.validate_json(points))
 
 
 def write_changes(
@@ -226,10 +250,9 @@ def write_changes(
 
 
 def _delete(connection: sqlite3.Connection, row: Row) -> None:
-    if isinstance(row, Review):
-        connection.execute("DELETE FROM reviews WHERE frame_index = ?", (row.frame_index,))
-    else:
-        connection.execute(f"DELETE FROM {TAGS[type(row)]}s WHERE id = ?", (row.id,))
+    kind, name = row_key(row)
+    column = {Review: "frame_index", AttributeType: "name"}.get(kind, "id")
+    connection.execute(f"DELETE FROM {TAGS[kind]}s WHERE {column} = ?", (name,))
 
 
 def _insert(connection: sqlite3.Connection, row: Row) -> None:
@@ -258,6 +281,16 @@ def row_values(row: Row) -> tuple[object, ...]:
         case Note():
             about = (row.id, row.element_id, row.frame_index, row.unsure)
             return *about, row.text, row.author, row.time
+        case ClassDeclaration():
+            shown = (row.letter, row.shape, row.color, row.color_light, row.key)
+            return row.id, row.name, row.kind, *shown
+        case AttributeType():
+            return row.name, row.type, json.dumps(row.choices)
+        case Attribute():
+            return row.id, row.element_id, row.name, row.value
+        case ImportedOutline():
+            points_px = [tuple(map(float, point)) for point in row.points_px]
+            return row.id, row.observation_id, row.form, json.dumps(points_px)
 
 
 def write_operation(connection: sqlite3.Connection, operation: Operation) -> None:

@@ -16,9 +16,11 @@ from typing import Any, Final, Literal, TypeAlias, get_args
 import numpy as np
 
 from semviz_core.base.elements import SIGMA_PX_RANGE, Elements2D
+from semviz_core.common.arrays import BoolArray, IntArray
 from semviz_core.common.errors import SemvizError
 
 Kind = Literal["line", "point"]
+ClassShape = Literal["line", "triangle", "square", "circle", "diamond", "pentagon"]
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class ElementClass:
     name: str
     kind: Kind
     letter: str
-    shape: Literal["line", "triangle", "square", "circle", "diamond", "pentagon"]
+    shape: ClassShape
     color: str
     color_light: str
 
@@ -87,6 +89,25 @@ DEFAULT_CLASSES = ClassSet(
     )
 )
 """The paper's four classes (section III-A)."""
+
+
+def as_known(class_id: IntArray, is_line: BoolArray, known: ClassSet) -> IntArray:
+    """Return the classes (m,) of elements as a network of the classes ``known`` sees them.
+
+    Another line-like class counts as the first line-like one, a pole; another point-like class as
+    the first whose glyph is a square, a rectangular sign, else as the first point-like one.
+    """
+    ids = np.array([class_.id for class_ in known])
+    other = ~np.isin(class_id, ids)
+    if not other.any():
+        return class_id
+    lines = [class_.id for class_ in known if class_.kind == "line"]
+    squares = [class_.id for class_ in known if class_.shape == "square"]
+    points = squares + [class_.id for class_ in known if class_.kind == "point"]
+    if ((other & is_line).any() and not lines) or ((other & ~is_line).any() and not points):
+        raise SemvizError("the network knows no class like those of the elements")
+    instead = np.where(is_line, lines[0] if lines else 0, points[0] if points else 0)
+    return np.where(other, instead, class_id)
 
 
 TriangleCenter: TypeAlias = Literal["box", "centroid"]

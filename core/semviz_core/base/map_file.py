@@ -31,15 +31,19 @@ _VECTORS = {"anchor_m": 3, "end_m": 3, "covariance_m2": 36}
 _ORIGINS = {
     "label_ids": "label_ids.list.element",
     "observation_ids": "observation_ids.list.element",
+    "attributes": "attributes.list.element",
 }
 """Columns of texts, and their paths in the file."""
+_ATTRIBUTES = "attributes"
+"""Optional column: texts such as ``material=steel``; a name has no ``=``."""
 _LOG_ODDS = "existence_log_odds"
 """Optional column: of elements from detections, null for others."""
 MOST_BYTES = 2 * 2**30
 MOST_VALUES = 36_000_000
 """Limits of one map: 1,000,000 elements, each with 36 numbers of covariance."""
 MOST_DECISION_BYTES = 256 * 2**20
-MOST_ID_CHARACTERS = 100
+MOST_ID_CHARACTERS = 300
+"""Of an id, and of an attribute with its value."""
 
 
 def save_map(semantic_map: SemanticMap, path: Path | str) -> None:
@@ -63,6 +67,12 @@ def save_map(semantic_map: SemanticMap, path: Path | str) -> None:
         columns[name] = pa.array(
             [list(getattr(entry, name)) for entry in provenance], pa.list_(pa.string())
         )
+    if semantic_map.attributes:
+        texts = [
+            [f"{name}={value}" for name, value in semantic_map.attributes.get(id_, {}).items()]
+            for id_ in elements.id.tolist()
+        ]
+        columns[_ATTRIBUTES] = pa.array(texts, pa.list_(pa.string()))
     table, metadata = pa.table(columns), _metadata(semantic_map)
     text = json.dumps(metadata | {CHECKSUM: _checksum(table, metadata)})
     table = table.replace_schema_metadata({FORMAT: text})
@@ -148,7 +158,16 @@ def _assemble(table: Any, metadata: dict[str, Any]) -> SemanticMap:
         settings=dict(metadata.get("settings", {})),
         operation=int(metadata["operation"]),
         triangle_center=parse_triangle_center(metadata.get("triangle_center")),
+        attributes=_attributes(table),
     )
+
+
+def _attributes(table: Any) -> dict[int, dict[str, str]]:
+    """Return the attributes of each element that has any, by its id."""
+    if _ATTRIBUTES not in table.column_names:
+        return {}
+    rows = zip(table["id"].to_pylist(), _texts(table[_ATTRIBUTES]), strict=True)
+    return {id_: dict(text.split("=", 1) for text in texts) for id_, texts in rows if texts}
 
 
 def _log_odds(table: Any) -> list[float | None]:

@@ -103,6 +103,8 @@ class SemanticMap:
     """Number of the last label operation in the map; 0 without labels."""
     triangle_center: TriangleCenter = OLDER_CENTER
     """What the anchor of a triangular sign is."""
+    attributes: Mapping[int, Mapping[str, str]] = field(default_factory=dict)
+    """What is known of elements besides their class: values by name, by element id."""
 
     def __post_init__(self) -> None:
         trajectory = float_array(self.trajectory_m, (None, 3), "trajectory_m")

@@ -50,16 +50,21 @@ class NetworkWeights:
         with replacing(path) as temporary:
             temporary.write_bytes(content)
 
-    def check(self, task: str, classes: ClassSet, path: Path) -> None:
-        """Raise SemvizError if the weights are for another task or other classes."""
+    def check(self, task: str, classes: ClassSet, path: Path) -> ClassSet:
+        """Return those of ``classes`` that the network knows.
+
+        Raise SemvizError if the weights are for another task, or for a class that is not there.
+        """
         if self.task != task:
             raise SemvizError(f"{path}: weights of {self.task}; give those of {task}")
-        names = [class_.name for class_ in classes]
-        if self.options["classes"] != names:
+        known = {class_.name: class_ for class_ in classes}
+        names = self.options["classes"]
+        if not isinstance(names, list) or not set(names) <= known.keys():
             raise SemvizError(
-                f"{path}: trained for the classes {', '.join(self.options['classes'])}, not for "
-                f"{', '.join(names)}; train with your classes"
+                f"{path}: trained for the classes {', '.join(names)}, not for "
+                f"{', '.join(known)}; train with your classes"
             )
+        return ClassSet(tuple(known[name] for name in names))
 
     def load_into(self, network: "nn.Module", path: Path) -> None:
         """Load the weights into ``network``. Raise SemvizError if its layers differ."""
@@ -88,9 +93,10 @@ def load_trained(
     classes: ClassSet,
     build: Callable[[NetworkWeights, ClassSet, Path], Trained],
 ) -> Trained:
-    """Return ``build(weights, classes, path)``; default: the task's shipped weights.
+    """Return ``build(weights, known, path)``; default: the task's shipped weights.
 
-    The result is cached as long as the file is unchanged, so ``build`` must be a module's function.
+    ``known`` are those of ``classes`` that the network was trained for; see ``as_known``. The
+    result is cached as long as the file is unchanged, so ``build`` must be a module's function.
     Raise SemvizError if the weights are missing, for another task, or refused by ``build``.
     """
     path = path or shipped_weights(task)
@@ -104,8 +110,7 @@ def _built(
     task: str, path: Path, changed_ns: int, classes: ClassSet, build: Callable[..., Any]
 ) -> Any:
     weights = read_weights(path)
-    weights.check(task, classes, path)
-    return build(weights, classes, path)
+    return build(weights, weights.check(task, classes, path), path)
 
 
 def _check_card(path: Path) -> None:

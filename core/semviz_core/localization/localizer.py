@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 import numpy as np
 
 from semviz_core.base.camera import Camera
-from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet, ElementClass
 from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Prior
@@ -315,8 +315,18 @@ class Localizer:
     @property
     def _verifies(self) -> bool:
         """Whether the verifier chooses among the modes: the shipped one knows only its classes."""
-        of_pairs = self.method == "correspondences" and self.classes == DEFAULT_CLASSES
+        knows = all(class_ in self.classes.classes for class_ in DEFAULT_CLASSES)
+        of_pairs = self.method == "correspondences" and knows
         return of_pairs or self.method == "learned"
+
+    @property
+    def untrained_classes(self) -> tuple[ElementClass, ...]:
+        """Classes that the method's network was not trained for: it takes their elements for those
+        of a class that it knows (``as_known``), and the search and the refinement do not."""
+        if self.method not in NETWORKS:
+            return ()
+        network = self._matcher() if self.method == "correspondences" else self._verifier()
+        return tuple(class_ for class_ in self.classes if class_.id not in network.classes)
 
     def _verifier(self) -> "ModeVerifier":
         """Load the verifier; for ``correspondences``, whose own weights are the matcher's, the

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semviz_core.base.camera import Camera
-from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet, as_known
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Prior
 from semviz_core.base.weights import NetworkWeights, load_trained, version_error
@@ -210,7 +210,7 @@ def _mapped(
         ],
         axis=2,
     )
-    return _with_class(numbers, submap.class_id, classes)
+    return _with_class(numbers, as_known(submap.class_id, submap.is_line, classes), classes)
 
 
 def _seen(
@@ -229,7 +229,7 @@ def _seen(
         ],
         axis=2,
     )
-    return _with_class(numbers, observed.class_id, classes)
+    return _with_class(numbers, as_known(observed.class_id, observed.is_line, classes), classes)
 
 
 def _with_class(numbers: FloatArray, class_id: IntArray, classes: ClassSet) -> Float32Array:

@@ -39,7 +39,7 @@ export function commands(state, images, tools, actions) {
       { key, ctrl: true, group: "Draw", title: "Move the cursor 0.1 px", run: () => cursor.move(0.1 * du, 0.1 * dv) },
     ];
   };
-  const keyed = state.workspace.classes.slice(0, 9).map((kind, index) => ({ ...kind, key: String(index + 1) }));
+  const keyed = state.workspace.classes.filter(({ key }) => key);
   return [
     { key: "Click", group: "Draw", title: `Pole: the whole one if it is dashed, else peak, then bottom. Sign: middle${state.workspace.triangle_center === "centroid" ? "; of a triangle the centroid, a third of its height from its base" : ""}` },
     { key: "Drag", group: "Draw", title: "Sign: a box around it. Pole: one stroke" },
@@ -57,8 +57,8 @@ export function commands(state, images, tools, actions) {
     { key: "Click element", ctrl: true, group: "Draw", title: "Select a second element to link" },
     { key: "p", group: "Draw", title: "Link the two selected elements", run: edit.link },
     { key: "u", group: "Draw", title: "Unlink: this view is another element", words: "split", run: edit.unlink },
-    ...keyed.filter(({ kind }) => kind === "point").map(({ id, key, name }) => ({
-      key, shift: true, group: "Draw", title: `Selected sign becomes ${name}`, row: "Class of the selected sign", run: () => edit.setClass(id),
+    ...keyed.map(({ id, key, name }) => ({
+      key, shift: true, group: "Draw", title: `Selected element becomes ${name}`, row: "Class of the selected element", run: () => edit.setClass(id),
     })),
     { key: "o", group: "Draw", title: "Bottom hidden; proposal: all hidden", run: () => edit.hide() },
     { key: "c", group: "Draw", title: "Peak cut off, or visible again", run: () => edit.flag("anchor_known") },
@@ -144,7 +144,7 @@ export function editing(state, actions) {
     /** @param {number} id */
     setClass(id) {
       const element = state.selectedElement;
-      if (element && element.class_id !== id) actions.submit({ kind: "set class", element_id: element.id, class_id: id });
+      if (element && element.class_id !== id && state.classOf(id).kind === state.classOf(element.class_id).kind) actions.submit({ kind: "set class", element_id: element.id, class_id: id });
     },
     link() {
       const { element, also } = state.selected ?? {};

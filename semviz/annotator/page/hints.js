@@ -27,7 +27,7 @@ export function hints(state) {
   if (element && selected) return forElement(state, element, selected);
   if (candidate) return [hint(`${candidate.name} here`, "Click"), hint("not this one", "Esc")];
   return [
-    draw, hint("class", ...state.workspace.classes.slice(0, 9).map((_, index) => `${index + 1}`)), hint("zoom", "Wheel"), hint("pan", "Right drag"),
+    draw, hint("class", ...state.workspace.classes.filter(({ key }) => key).map(({ key }) => key)), hint("zoom", "Wheel"), hint("pan", "Right drag"),
     hint("frame", ",", "."), hint("reviewed", "Enter"), hint("all keys", "?"),
   ];
 }

@@ -10,6 +10,7 @@ import { showScene } from "/static/scene.js";
 import { PageSocket, Refusal } from "/static/socket.js";
 import { currentTheme, startTheme } from "/static/theme.js";
 import { Light } from "./aids.js";
+import { Attributes } from "./attributes.js";
 import { Backdrop } from "./backdrop.js";
 import { commands, editing, zoomToSelection } from "./commands.js";
 import { Cursor } from "./cursor.js";
@@ -76,7 +77,7 @@ export class Page {
     this.team = new Team(this.state, this.keys, this);
     /** @type {Views} */
     this.views = new Views(this.state, this.keys, this, { tracks: this.tracks, poses: this.poses, team: this.team, drive: this.drive });
-    this.panels = new Panels(this.state, this.images, this.keys, this, [this.backdrop, this.past, this.history, this.light, this.review, this.tour, this.second, this.people, this.views, this.tracks, this.poses, this.team, this.drive]);
+    this.panels = new Panels(this.state, this.images, this.keys, this, [new Attributes(this.state, this), this.backdrop, this.past, this.history, this.light, this.review, this.tour, this.second, this.people, this.views, this.tracks, this.poses, this.team, this.drive]);
     this.keys.onchange = () => this.state.set({ changedKeys: this.keys.changed });
     this.keys.listen(window);
     watchLists();

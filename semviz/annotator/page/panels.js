@@ -81,7 +81,7 @@ export class Panels {
     const { state } = this;
     byId("scene").hidden = !state.aids.map; // a hidden scene is not drawn
     this.parts.forEach((part) => part.show());
-    this.cache.show("classes", [state.classId, state.labels.counts], () => this.#classes());
+    this.cache.show("classes", [state.classId, state.labels.counts, state.workspace.classes], () => this.#classes());
     this.cache.show("elements", [state.elements, state.proposals, state.nearby, state.selected], () => this.#elements());
     this.cache.show("card", [state.selected, state.selectedElement, state.preview, state.previewed, state.connected, Boolean(state.drawing)], () => this.#card());
     this.cache.show("hints", hints(state), () => hints(state).map((hint) => hintItem(hint, this.keys)));
@@ -95,9 +95,9 @@ export class Panels {
 
   #classes() {
     const { workspace, classId, labels } = this.state;
-    return workspace.classes.map((elementClass, index) =>
+    return workspace.classes.map((elementClass) =>
       row({ chosen: elementClass.id === classId, onclick: () => this.edit.chooseClass(elementClass.id) },
-        index < 9 ? badge(this.keys, `${index + 1}`) : null, this.#glyph(elementClass),
+        elementClass.key ? badge(this.keys, elementClass.key) : null, this.#glyph(elementClass),
         el("span", { class: "fill", text: capital(elementClass.name) }),
         el("span", { class: "dim", text: labels.counts[elementClass.id] ?? 0 })));
   }
@@ -210,20 +210,21 @@ export class Panels {
       el("button", { class: "small", "aria-pressed": pressed, onclick: run }, text, badge(this.keys, key));
     if (kind === "point") return el("div", { class: "buttons" }, ...this.#reclass(element), button("Delete", "Del", this.edit.remove));
     return el("div", { class: "buttons" },
+      ...this.#reclass(element),
       button("Hidden", "O", () => this.edit.flag("end_known"), String(observation?.end_known === false)),
       button("Cut", "C", () => this.edit.flag("anchor_known"), String(observation?.anchor_known === false)),
       button("Delete", "Del", this.edit.remove));
   }
 
-  /** The other classes that a sign can be.
+  /** The other classes that an element can be: of its kind.
    *
    * @param {ShownElement} element
    */
   #reclass(element) {
-    const { classes } = this.state.workspace;
-    const others = classes.filter(({ kind, id }) => kind === "point" && id !== element.class_id);
+    const own = this.state.classOf(element.class_id).kind;
+    const others = this.state.workspace.classes.filter(({ kind, id }) => kind === own && id !== element.class_id);
     return others.map((other) => {
-      const title = `Make it a ${other.name} (${this.keys.shown(`Shift ${classes.indexOf(other) + 1}`)})`;
+      const title = `Make it a ${other.name}${other.key ? ` (${this.keys.shown(`Shift ${other.key}`)})` : ""}`;
       return el("button", { class: "small", title, "aria-label": title, onclick: () => this.edit.setClass(other.id) }, this.#glyph(other));
     });
   }

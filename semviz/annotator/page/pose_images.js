@@ -146,7 +146,7 @@ export class PoseImages {
 
   /**
    * @param {CanvasRenderingContext2D} context
-   * @param {annotator.ElementClass["shape"]} shape
+   * @param {annotator.KeyedClass["shape"]} shape
    * @param {[[number, number], [number, number] | null]} ends
    * @param {string} color
    * @param {number} width

@@ -10,6 +10,10 @@ const LEAST_SCORE = 0.05; // of a proposal that was found in the image; below, i
 /** The default of the aid `bright`. */
 export const PLAIN_LIGHT = { brightness: 1.7, contrast: 1.15 };
 
+/** A class that was declared a moment ago: the workspace with it is on its way.
+ * @type {ElementClass} */
+const UNKNOWN = { id: -1, name: "new class", kind: "line", letter: "?", shape: "line", color: "#CCCCCC", color_light: "#555555", key: "" };
+
 /** The page's state: the labels from the server, the pending edits, and the state of this page only. */
 export class State {
   constructor() {
@@ -274,9 +278,7 @@ export class State {
 
   /** @param {number} id */
   classOf(id) {
-    const elementClass = this.workspace.classes.find((candidate) => candidate.id === id);
-    if (!elementClass) throw new Error(`no class ${id}`);
-    return elementClass;
+    return this.workspace.classes.find((candidate) => candidate.id === id) ?? UNKNOWN;
   }
 
   /** What the point of a sign is: of a triangle, what the workspace's labels mark.

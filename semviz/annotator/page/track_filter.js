@@ -37,11 +37,11 @@ export function parseFilter(text, classes, places) {
   const filter = { conditions: [], frames: null, fault: "" };
   for (const word of text.trim().split(/\s+/).filter(Boolean)) {
     const compared = word.match(/^(residual|score|views)([<>])(\d+(?:\.\d+)?)$/i);
-    const named = word.match(/^(class|note|flag|frames?):(.*)$/i);
+    const named = word.match(/^(class|attr|note|flag|frames?):(.*)$/i);
     if (compared) filter.conditions.push(comparison(compared[1].toLowerCase(), compared[2], Number(compared[3])));
     else if (named) filter.fault ||= readNamed(named[1].toLowerCase(), named[2].toLowerCase(), filter, classes, places);
     else if (FLAGS[word.toLowerCase()]) filter.conditions.push(FLAGS[word.toLowerCase()]);
-    else if (/[:<>]/.test(word)) filter.fault ||= `“${word}” is not understood: class: note: flag: frames: residual> score< views<`;
+    else if (/[:<>]/.test(word)) filter.fault ||= `“${word}” is not understood: class: attr: note: flag: frames: residual> score< views<`;
     else filter.conditions.push((row) => row.name.toLowerCase().includes(word.toLowerCase()));
   }
   return filter;
@@ -60,6 +60,22 @@ function comparison(name, sign, limit) {
   };
 }
 
+/** A name or value as filters write it, without spaces.
+ *
+ * @param {string} text
+ */
+const plain = (text) => text.toLowerCase().replaceAll(/[\s-]+/g, "_");
+
+/** The shortest word by which a filter finds a class alone: its first, or all of its name.
+ *
+ * @param {ElementClass} kind
+ * @param {ElementClass[]} classes
+ */
+export function classWord(kind, classes) {
+  const [first] = plain(kind.name).split("_");
+  return classes.filter(({ name }) => plain(name).startsWith(first)).length > 1 ? plain(kind.name) : first;
+}
+
 /** Adds a `name:value` to the filter; returns what is wrong with it.
  *
  * @param {string} name
@@ -72,9 +88,14 @@ function readNamed(name, value, filter, classes, places) {
   if (name === "note") {
     filter.conditions.push((row) => row.notes.some(({ text, author }) => text && `${text} ${author}`.toLowerCase().includes(value)));
   } else if (name === "class") {
-    const ids = classes.filter((kind) => kind.name.toLowerCase().startsWith(value)).map(({ id }) => id);
+    const ids = classes.filter((kind) => plain(kind.name).startsWith(plain(value))).map(({ id }) => id);
     if (!ids.length) return `There is no class “${value}”: ${classes.map((kind) => kind.name).join(", ")}`;
     filter.conditions.push((row) => ids.includes(row.class_id));
+  } else if (name === "attr") {
+    const [key, sought] = value.split("=");
+    if (!key) return "Write attr:material=steel, or attr:lamp for any value";
+    filter.conditions.push((row) => Object.entries(row.attributes).some(([has, is]) =>
+      plain(has) === plain(key) && (sought === undefined || plain(is).startsWith(plain(sought)))));
   } else if (name === "flag") {
     if (!FLAGS[value]) return `There is no flag “${value}”: ${Object.keys(FLAGS).join(", ")}`;
     filter.conditions.push(FLAGS[value]);

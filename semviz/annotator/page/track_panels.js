@@ -7,7 +7,7 @@
 import { Surface, cssColor } from "/static/canvas.js";
 import { byId, el } from "/static/dom.js";
 import { classGlyph, residualColor } from "/static/glyphs.js";
-import { noHit } from "./track_filter.js";
+import { noHit, classWord } from "./track_filter.js";
 import { counted, spaced } from "./values.js";
 import { RenderCache, badge } from "./widgets.js";
 
@@ -99,7 +99,7 @@ export class TrackPanels {
     const chip = (/** @type {string} */ word, /** @type {number} */ count, /** @type {Child[]} */ children, title = word) =>
       el("button", { class: "chip", title: `Filter: ${title}`, "aria-pressed": String(words.includes(word)), onclick: () => this.#toggle(word) }, ...children, el("b", { text: ` ${count}` }));
     const classes = state.workspace.classes.map((kind) =>
-      chip(`class:${kind.name.split(" ")[0].toLowerCase()}`, rows.filter(({ class_id: id }) => id === kind.id).length, [classGlyph(kind, state.colorOf(kind))]));
+      chip(`class:${classWord(kind, state.workspace.classes)}`, rows.filter(({ class_id: id }) => id === kind.id).length, [classGlyph(kind, state.colorOf(kind))]));
     const counts = /** @type {Record<string, number>} */ ({
       "residual>2": rows.filter(({ worst_px: px }) => (px ?? 0) > 2).length,
       gaps: rows.filter((row) => table.gaps(row).length).length,
@@ -154,7 +154,8 @@ export class TrackPanels {
       details.split ? this.#cause(details.split) : null,
       el("h3", { text: "The whole track" }), ...this.#wholeTrack(row, details),
       ...this.#range(row, details),
-      el("dl", { class: "track-facts" }, el("dt", { text: "Place" }), el("dd", { text: details.place, title: details.place }), el("dt", { text: "Drawn by" }), el("dd", { text: details.drawn_by, title: details.drawn_by })),
+      el("dl", { class: "track-facts" }, el("dt", { text: "Place" }), el("dd", { text: details.place, title: details.place }), el("dt", { text: "Drawn by" }), el("dd", { text: details.drawn_by, title: details.drawn_by }),
+        ...Object.entries(row.attributes).flatMap(([name, value]) => [el("dt", { text: name }), el("dd", { text: value, title: value })])),
       ...row.notes.map((note) => this.#note(note)),
     ];
   }
@@ -211,7 +212,7 @@ export class TrackPanels {
     const frames = new Set(labels.map(({ frame }) => frame)).size;
     const found = actions.proposals?.proposals.filter(({ frame }) => frame >= first && frame <= last);
     const sure = found?.filter((mark) => mark.is_confident).length ?? 0;
-    const signs = state.workspace.classes.map(({ id }, index) => ({ id, key: `${index + 1}` })).filter(({ id }) => id !== row.class_id && state.classOf(id).kind === state.classOf(row.class_id).kind);
+    const signs = state.workspace.classes.filter(({ id, key }) => key && id !== row.class_id && state.classOf(id).kind === state.classOf(row.class_id).kind);
     const title = range ? `Range ${first}–${last}, ${counted(range[1] - range[0] + 1, "frame")}` : `Frame ${first}`;
     return [
       el("h3", {}, el("span", { text: title }), el("span", { class: "push", text: `${keys.shown("Shift ←")} ${keys.shown("Shift →")} widens` })),

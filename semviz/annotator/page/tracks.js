@@ -325,8 +325,8 @@ export class Tracks {
       own("x", "Unsure: asks a second person", () => actions.toggleUnsure(), { shift, words: "flag doubt" }),
       own("n", "Note on the element", () => this.panels.startNote(), { words: "comment" }),
       own(" ", "Accept all sure ones in the range", () => actions.acceptSure(), { shift }),
-      ...this.state.workspace.classes.slice(0, 9).map(({ id, name }, index) =>
-        own(`${index + 1}`, `Class in the range: ${name}`, () => actions.setClass(id), { shift, row: "Class in the range" })),
+      ...this.state.workspace.classes.filter(({ key }) => key).map(({ id, name, key }) =>
+        own(key, `Class in the range: ${name}`, () => actions.setClass(id), { shift, row: "Class in the range" })),
       own("Delete", "Delete the labels of the cell or range", () => actions.remove()),
       own("Enter", "Apply what is previewed", () => actions.apply(), { ctrl: true }),
       own("Escape", "Drop the preview; the range; the filter", () => this.escape()),

@@ -4,7 +4,7 @@
 
 /** @typedef {"left" | "right"} Side */
 /** @typedef {[number, number]} Point */
-/** @typedef {annotator.ElementClass} ElementClass */
+/** @typedef {annotator.KeyedClass} ElementClass */
 /** @typedef {annotator.ProposalView} Proposal */
 /** @typedef {annotator.LabelsView & {frame: annotator.LabelledFrameView | null}} PageLabels */
 /** @typedef {annotator.ReviewEntry & {entry: annotator.EntryView}} OpenReview */
@@ -16,8 +16,8 @@
  * @typedef {Omit<annotator.ObservationView, "frame" | "side"> & {frame?: number, side?: Side}} Observation */
 /** @typedef {Partial<Record<Side, Observation>>} Observations */
 /** An element as shown; `unsaved`: it is not on disk yet.
- * @typedef {Omit<annotator.ElementView, "observations" | "views" | "review_decisions" | "left_out"> & {
- *   observations: Observations, views?: number, review_decisions?: annotator.ReviewDecisionView[], left_out?: boolean, unsaved?: boolean}} ShownElement */
+ * @typedef {Omit<annotator.ElementView, "observations" | "views" | "review_decisions" | "left_out" | "attributes"> & {
+ *   observations: Observations, views?: number, review_decisions?: annotator.ReviewDecisionView[], left_out?: boolean, attributes?: {[name: string]: string}, unsaved?: boolean}} ShownElement */
 
 /** Where on the page an edit was made.
  * @typedef {{frame: number | null, side: Side, second?: number | null, class: number}} ShownAt */

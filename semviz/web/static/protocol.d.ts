@@ -75,14 +75,14 @@ export interface AlignLabelsEdit {
 export interface AnswerView {
   name: string;
   title: string;
-  edit: AddObservation | AddMany | Dismiss | MoveObservation | ReSnap | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | SetClassOfViews | ReviewFrame | AcceptFrame | SendBackFrame | DecideElements | RevokeDecision | DeleteNote;
+  edit: AddObservation | AddMany | Dismiss | MoveObservation | ReSnap | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | SetClassOfViews | SetAttribute | ReviewFrame | AcceptFrame | SendBackFrame | DecideElements | RevokeDecision | DeleteNote;
 }
 
 /** Apply an edit; its ``id`` is stored, so a request that is sent twice is applied once. */
 export interface ApplyEditRequest {
   type: "apply_edit";
   id: string;
-  edit: DrawEdit | AcceptEdit | AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit | AlignLabelsEdit | NoteEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | ReSnap | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | SetClassOfViews | ReviewFrame | AcceptFrame | SendBackFrame | DecideElements | RevokeDecision | DeleteNote;
+  edit: DrawEdit | AcceptEdit | AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit | AlignLabelsEdit | NoteEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | ReSnap | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | SetClassOfViews | SetAttribute | ReviewFrame | AcceptFrame | SendBackFrame | DecideElements | RevokeDecision | DeleteNote;
   base?: EditBase | null;
 }
 
@@ -92,6 +92,13 @@ export interface AssignFramesRequest {
   id: string;
   person: string;
   frames: [number, number] | null;
+}
+
+/** What the values of an attribute are; those of attributes without one are texts. */
+export interface AttributeType {
+  name: string;
+  type: "text" | "number" | "flag" | "choice";
+  choices: Array<string>;
 }
 
 /** Whether there is a backdrop to show; if not, ``note`` says why and what to do. */
@@ -164,7 +171,7 @@ export interface DecideElements {
   kind: "judge";
 }
 
-/** Delete an element with its observations, dismissals, decisions and notes. */
+/** Delete an element with its observations and all that refers to it. */
 export interface DeleteElement {
   element_id: string;
   kind: "delete element";
@@ -372,17 +379,6 @@ export interface EditSavedEvent {
   note: string;
 }
 
-/** One class of element. ``id`` is stored in files and never reused. ``letter`` starts the names that people read (``P-04``). ``shape`` is the glyph, which shows the class without colour. ``color`` is sRGB hex for dark backgrounds and images, ``color_light`` for light backgrounds. */
-export interface ElementClass {
-  id: number;
-  name: string;
-  kind: "line" | "point";
-  letter: string;
-  shape: "line" | "triangle" | "square" | "circle" | "diamond" | "pentagon";
-  color: string;
-  color_light: string;
-}
-
 /** An element or an open track was clicked in the 3D scene. */
 export interface ElementClickedEvent {
   type: "element_clicked";
@@ -425,6 +421,7 @@ export interface ElementView {
   views: number;
   review_decisions: Array<ReviewDecisionView>;
   left_out: boolean;
+  attributes: Record<string, string>;
 }
 
 /** An element that a decision or finding is about, from labels or map. */
@@ -494,6 +491,18 @@ export interface ImageSize {
   height: number;
 }
 
+/** A class, and the key that chooses it; empty for none. */
+export interface KeyedClass {
+  id: number;
+  name: string;
+  kind: "line" | "point";
+  letter: string;
+  shape: "line" | "triangle" | "square" | "circle" | "diamond" | "pentagon";
+  color: string;
+  color_light: string;
+  key: string;
+}
+
 /** What is known about the label file; sent when the page connects and when it changes. */
 export interface LabelFileEvent {
   type: "label_file";
@@ -535,7 +544,7 @@ export interface LabelsView {
   frames: Array<FrameSummary>;
 }
 
-/** State that label elements are one landmark: the smallest number keeps all observations. Notes on the others pass to the element that is kept. So do decisions, unless it has its own. A decision that two of them are apart is revoked. */
+/** State that label elements are one landmark: the smallest number keeps all observations. Notes on the others pass to the element that is kept. So do attributes and decisions, unless it has its own. A decision that two of them are apart is revoked. */
 export interface Link {
   element_ids: Array<string>;
   kind: "link";
@@ -961,6 +970,14 @@ export interface SendBackFrame {
   kind: "send back";
 }
 
+/** Set an attribute of an element; None removes it. */
+export interface SetAttribute {
+  element_id: string;
+  name: string;
+  value: string | null;
+  kind: "set attribute";
+}
+
 /** Show or hide the backdrop in 3D; one that was made meanwhile is found. */
 export interface SetBackdropRequest {
   type: "set_backdrop";
@@ -1217,6 +1234,7 @@ export interface TrackRow {
   sure: boolean;
   left_out: boolean;
   notes: Array<NoteView>;
+  attributes: Record<string, string>;
 }
 
 /** The labels fit two elements better than one. */
@@ -1280,7 +1298,8 @@ export interface WorkspaceView {
   source: string;
   author: string;
   role: "annotate" | "review" | "look";
-  classes: Array<ElementClass>;
+  classes: Array<KeyedClass>;
+  attribute_types: Array<AttributeType>;
   triangle_center: "box" | "centroid";
   images: Partial<Record<"left" | "right", ImageSize>>;
   has_right: boolean;

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from semviz_core.base.camera import Camera
-from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
+from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet, as_known
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Prior
 from semviz_core.base.pose import Pose
@@ -94,7 +94,7 @@ class Sample:
         prior: Prior,
         classes: ClassSet = DEFAULT_CLASSES,
     ) -> "Sample":
-        """Return a frame without ground truth. Raise SemvizError if ``classes`` lacks a class."""
+        """Return a frame without ground truth; other classes count as one of ``classes``."""
         number = {class_.id: row for row, class_ in enumerate(classes)}
         seen_line, mapped_line = observed.is_line[:, None], submap.is_line[:, None]
         origin = prior.position_m
@@ -103,11 +103,11 @@ class Sample:
             bottom_ray=camera.bearing(np.where(seen_line, observed.end_px, observed.anchor_px)),
             sigma_rad=observed.sigma_px / float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])),
             score=observed.score,
-            seen_class=_numbers(observed.class_id, number, classes),
+            seen_class=_numbers(observed, number, classes),
             seen_known=np.column_stack([observed.anchor_known, observed.end_known]),
             point_m=submap.anchor_m - origin,
             bottom_m=np.where(mapped_line, submap.end_m, submap.anchor_m) - origin,
-            mapped_class=_numbers(submap.class_id, number, classes),
+            mapped_class=_numbers(submap, number, classes),
             mapped_known=np.column_stack([submap.anchor_known, submap.end_known]),
             road=_road_plane(prior),
             prior=_prior_numbers(prior),
@@ -122,9 +122,12 @@ class Sample:
         return replace(self, truth=truth)
 
 
-def _numbers(class_id: IntArray, number: dict[int, int], classes: ClassSet) -> IntArray:
-    """Return the numbers (k,) of classes. Raise SemvizError if ``classes`` lacks one."""
-    return np.array([number[classes[id].id] for id in class_id.tolist()], dtype=np.int64)
+def _numbers(
+    elements: Elements2D | Elements3D, number: dict[int, int], classes: ClassSet
+) -> IntArray:
+    """Return the numbers (k,) of the classes of elements; see ``as_known``."""
+    known = as_known(elements.class_id, elements.is_line, classes)
+    return np.array([number[id] for id in known.tolist()], dtype=np.int64)
 
 
 def _road_plane(prior: Prior) -> FloatArray:

@@ -93,7 +93,7 @@ class PairMatcher:
         """
         sample = Sample.of(observed, submap, camera, prior, self.classes)
         if possible is None:
-            possible = sample.seen_class[:, None] == sample.mapped_class
+            possible = observed.class_id[:, None] == submap.class_id
         frame = FrameGeometry.of(candidate_pairs(sample, possible), Compass.of(sample))
         log_odds = network.pair_log_odds(
             self.weights, frame, sample.seen_class, len(sample.mapped_class)

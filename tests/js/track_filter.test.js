@@ -1,0 +1,30 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { classWord, parseFilter } from "../../semviz/annotator/page/track_filter.js";
+
+const classes = ["pole", "rectangular sign", "rectangular box", "light gantry"].map((name, id) => ({ id, name }));
+const row = (class_id, attributes = {}) => ({ class_id, attributes, name: "P-01", notes: [] });
+
+/** Which of the rows a filter leaves. */
+function left(text, rows) {
+  const filter = parseFilter(text, classes, new Map());
+  assert.equal(filter.fault, "");
+  return rows.map((each) => filter.conditions.every((holds) => holds(each, null, [0, 0])));
+}
+
+test("a class is found by its name with underscores, and by the word of its chip alone", () => {
+  const rows = classes.map(({ id }) => row(id));
+  assert.deepEqual(left("class:light_gantry", rows), [false, false, false, true]);
+  assert.deepEqual(left("class:rect", rows), [false, true, true, false]);
+  for (const kind of classes) {
+    assert.deepEqual(left(`class:${classWord(kind, classes)}`, rows), classes.map(({ id }) => id === kind.id));
+  }
+});
+
+test("an attribute is found by name and value", () => {
+  const rows = [row(0, { "sign code": "de205" }), row(0, { "sign code": "de206", lamp: "yes" }), row(0)];
+  assert.deepEqual(left("attr:sign_code=de205", rows), [true, false, false]);
+  assert.deepEqual(left("attr:sign_code=DE", rows), [true, true, false]);
+  assert.deepEqual(left("attr:lamp", rows), [false, true, false]);
+  assert.match(parseFilter("attr:", classes, new Map()).fault, /attr:material=steel/);
+});
