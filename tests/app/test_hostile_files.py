@@ -181,7 +181,7 @@ def test_long_texts_in_a_map_are_refused_before_they_are_repeated(tmp_path: Path
     names = pa.array([["x" * 1_000_000] * 20] * len(table), pa.list_(pa.string()))
     place = table.schema.get_field_index("label_ids")
     pq.write_table(table.set_column(place, "label_ids", names), path, compression="zstd")
-    with pytest.raises(SemvizError, match="an id of more than 100 characters"):
+    with pytest.raises(SemvizError, match="a text of more than 300 characters"):
         load_map(path)
 
 

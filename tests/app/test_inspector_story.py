@@ -1,5 +1,6 @@
 """The story of a run: no frame counts twice, causes come by size, and the page leads to frames."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from importlib.metadata import version
@@ -147,8 +148,8 @@ def test_what_a_healthy_frame_shows_is_named_with_its_element_and_by_how_much(
     noticed = [row.noticed for row in run_view("moved", read).frames if row.diagnosis == "healthy"]
     name = run.semantic_map.name_of(pole)
     assert len(noticed) == 5
-    assert all(text.startswith(f"{name} moved in the map, ") for text in noticed)
-    assert all(int(text.split()[-2]) > 25 and text.endswith(" px") for text in noticed)
+    told = [re.fullmatch(rf"{name} \((\d+) px\) moved in the map", text) for text in noticed]
+    assert all(match and int(match[1]) > 25 for match in told), noticed
     assert {row.noticed for row in run_view("first", small_run()).frames} == {""}
 
 

@@ -174,6 +174,8 @@ INPUTS = {
     "labels check": {"workspace"},
     "labels backup": {"workspace"},
     "labels restore": {"workspace", "file"},
+    **{f"classes {verb}": {"workspace"} for verb in ("list", "add", "change", "remove")},
+    "classes attribute": {"workspace"},
     "benchmark": {"kitti_poses", "pole_maps"},
     "train": {"workspace", "kitti_poses", "pole_maps"},
     "weights": {"training"},

@@ -172,7 +172,7 @@ needs_weights = pytest.mark.skipif(
 
 @needs_weights
 def test_learned_finds_more_than_search_and_is_not_sure_of_more_wrong_ones() -> None:
-    problems = list(frames(60, HARD))
+    problems = list(frames(200, HARD))
     found, wrong = {}, {}
     for method in ("search", "learned"):
         errors = []

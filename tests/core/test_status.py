@@ -289,13 +289,17 @@ def test_no_class_in_common() -> None:
     assert found.status == "cannot"
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_all_detections_are_false(seed: int) -> None:
-    """What another street shows: real shapes at places that mean nothing here."""
-    world, other = street(seed), street(seed + 100)
-    observed = seen(other, looking(0.3, -1.0), seed)
-    found = localized(observed, near(world, np.zeros(2)), prior_at(2.0, 2.0))
-    assert found.status != "ok", found.reason
+def test_all_detections_are_false() -> None:
+    """What another street shows: real shapes at places that mean nothing here fit by chance once in
+    hundreds of frames."""
+    wrong = {}
+    for seed in range(200):
+        world, other = street(seed), street(seed + 100)
+        observed = seen(other, looking(0.3, -1.0), seed)
+        found = localized(observed, near(world, np.zeros(2)), prior_at(2.0, 2.0))
+        if found.status == "ok":
+            wrong[seed] = found.reason
+    assert len(wrong) <= 1, wrong
 
 
 @pytest.mark.parametrize("seed", range(12))

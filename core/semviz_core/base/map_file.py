@@ -42,7 +42,7 @@ MOST_BYTES = 2 * 2**30
 MOST_VALUES = 36_000_000
 """Limits of one map: 1,000,000 elements, each with 36 numbers of covariance."""
 MOST_DECISION_BYTES = 256 * 2**20
-MOST_ID_CHARACTERS = 300
+MOST_TEXT_CHARACTERS = 300
 """Of an id, and of an attribute with its value."""
 
 
@@ -184,8 +184,8 @@ def _texts(column: Any) -> list[list[str]]:
     """Return the ids in a column of lists, which holds each of them once."""
     for chunk in column.chunks:
         ids = chunk.values.dictionary if hasattr(chunk.values, "dictionary") else chunk.values
-        if any(len(text) > MOST_ID_CHARACTERS for text in ids.to_pylist() if text):
-            raise ValueError(f"an id of more than {MOST_ID_CHARACTERS} characters")
+        if any(len(text) > MOST_TEXT_CHARACTERS for text in ids.to_pylist() if text):
+            raise ValueError(f"a text of more than {MOST_TEXT_CHARACTERS} characters")
     lists: list[list[str]] = column.to_pylist()
     return lists
 
