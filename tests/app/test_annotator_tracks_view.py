@@ -246,6 +246,22 @@ def test_the_class_of_a_range_makes_an_element_of_its_own(page: "Page", served: 
     assert served.labels.elements.keys() == before.elements.keys()
 
 
+def test_an_action_waits_for_the_labels_as_they_are_now(page: "Page", served: Served) -> None:
+    name = longest(served.labels, 3)
+    element = choose(page, name, 2)
+    page.evaluate(
+        """() => {
+          const { tracks } = semviz;
+          tracks.known = { ...tracks.details, labels: tracks.details.labels.slice(0, 2) };
+          tracks.read = tracks.asked = "";
+        }"""
+    )
+    page.keyboard.press("Shift+Digit3")
+    page.evaluate("() => semviz.state.set({})")  # reads them, if nothing did before
+    count = len(served.labels.of_element(element))
+    page.wait_for_selector(f"#track-bar:has-text('{count} labels of {name} become rectangular')")
+
+
 def test_notes_and_the_unsure_flag_are_found_again(page: "Page", served: Served) -> None:
     before = served.labels
     name = longest(before)

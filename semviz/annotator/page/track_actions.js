@@ -83,11 +83,16 @@ export class TrackActions {
     return null;
   }
 
-  /** The chosen element with its labels, once they are read; if they are not, a message says so. */
-  #labelled() {
-    const row = this.#element(), { details, page } = this.tracks;
-    if (row && !details) page.notify("The element is being read; try again.", "wrong");
-    return row && details ? { row, details } : null;
+  /** The chosen element with its labels as they are now. Null while they are read: then `again` is called.
+   *
+   * @param {() => void} again
+   */
+  #labelled(again) {
+    const row = this.#element(), { tracks } = this;
+    if (!row) return null;
+    if (tracks.details && tracks.isRead) return { row, details: tracks.details };
+    tracks.onceRead = again;
+    return null;
   }
 
   /** The labels of the chosen element in the range or the chosen cell.
@@ -102,7 +107,7 @@ export class TrackActions {
   // -- the whole track
 
   resnap() {
-    const found = this.#labelled();
+    const found = this.#labelled(() => this.resnap());
     if (!found) return;
     this.tracks.page.notify(`Looking for the edges of ${counted(found.details.labels.length, "view")} …`);
     this.tracks.page.socket.send("preview_resnap", { element_id: found.row.id });
@@ -130,7 +135,7 @@ export class TrackActions {
 
   /** Lets the labels from the chosen frame on be another element. */
   split() {
-    const found = this.#labelled();
+    const found = this.#labelled(() => this.split());
     if (!found) return;
     const [frame] = this.tracks.frames;
     const [before, after] = [found.details.labels.filter((label) => label.frame < frame), found.details.labels.filter((label) => label.frame >= frame)];
@@ -147,7 +152,7 @@ export class TrackActions {
   }
 
   merge() {
-    const found = this.#labelled();
+    const found = this.#labelled(() => this.merge());
     if (!found) return;
     const { merge } = found.details;
     if (!merge) {
@@ -189,7 +194,7 @@ export class TrackActions {
 
   /** @param {number} id */
   setClass(id) {
-    const found = this.#labelled();
+    const found = this.#labelled(() => this.setClass(id));
     if (!found || found.row.class_id === id) return;
     const { state, range, page } = this.tracks;
     const [now, next] = [state.classOf(found.row.class_id), state.classOf(id)];
@@ -212,7 +217,7 @@ export class TrackActions {
   }
 
   remove() {
-    const found = this.#labelled();
+    const found = this.#labelled(() => this.remove());
     if (!found) return;
     const labels = this.inRange(found.details);
     const frames = new Set(labels.map(({ frame }) => frame));

@@ -47,7 +47,10 @@ export class Tracks {
     this.since = 0; // when rows were requested, ms
     /** @type {annotator.TrackDetails | null} */
     this.known = null; // the chosen element
-    this.asked = ""; // the element and version that were requested
+    this.asked = ""; // the version of an element that was requested
+    this.read = ""; // the one that is known
+    /** @type {(() => void) | null} */
+    this.onceRead = null; // an action on the chosen element that waits for this version
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.timer = undefined;
     /** @type {ReturnType<typeof setTimeout> | undefined} */
@@ -61,6 +64,10 @@ export class Tracks {
     page.socket.on("track", ({ track }) => {
       if (track.id !== this.chosenId) return;
       this.known = track;
+      this.read = this.#version();
+      const waiting = this.onceRead;
+      this.onceRead = null;
+      waiting?.();
       state.set({});
     });
     page.socket.on("track_proposals", (event) => this.actions.found(event));
@@ -100,6 +107,11 @@ export class Tracks {
   /** What is known of the chosen element; null until it has arrived. */
   get details() {
     return this.known?.id === this.chosenId ? this.known : null;
+  }
+
+  /** Whether what is known of the chosen element is of its labels as they are now. */
+  get isRead() {
+    return this.details !== null && this.read === this.#version();
   }
 
   /** The chosen range of places, both inclusive; null for none.
@@ -178,6 +190,7 @@ export class Tracks {
    */
   choose(row, place, widens = false) {
     if (row.id !== this.chosenId) {
+      this.onceRead = null;
       this.actions.drop();
       this.page.select(row.id);
       if (!widens) this.span = null;
@@ -353,10 +366,15 @@ export class Tracks {
     this.place = this.placesOf.get(frame) ?? this.state.order.indexOf(frame);
   }
 
+  /** The chosen element with its labels, as a text that changes with them; "" for none. */
+  #version() {
+    const { row } = this;
+    return row && row.number >= 0 ? JSON.stringify(row) : "";
+  }
+
   /** Requests the chosen element, if it or its labels changed. */
   #askDetails() {
-    const { row } = this;
-    const wanted = row && row.number >= 0 ? `${row.id} ${JSON.stringify(row)}` : "";
+    const { row } = this, wanted = this.#version();
     if (wanted === this.asked) return;
     this.asked = wanted;
     clearTimeout(this.detailTimer);
