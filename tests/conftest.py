@@ -6,6 +6,7 @@ Where either is missing a test skips with the reason; with SEMVIZ_REQUIRE_ALL=1 
 import gc
 import importlib
 import os
+import re
 import shutil
 import sys
 from collections.abc import Callable, Iterator
@@ -219,6 +220,10 @@ def page_errors() -> list[str]:
     return []
 
 
+SERVER_ENDED = re.compile("WebSocket connection .*: net::ERR_CONNECTION_(REFUSED|RESET)$")
+"""What Chromium says of a page that outlives its server, as many tests let it."""
+
+
 @pytest.fixture
 def page(
     chromium_in: Callable[[str], "Browser"], fonts: str, page_errors: list[str]
@@ -228,7 +233,7 @@ def page(
     page = context.new_page()
 
     def note(message: "ConsoleMessage") -> None:
-        if message.type == "error":
+        if message.type == "error" and not SERVER_ENDED.match(message.text):
             page_errors.append(f"{message.text} ({message.location.get('url', '')})")
 
     page.on("console", note)

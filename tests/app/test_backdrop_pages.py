@@ -223,7 +223,6 @@ def test_the_annotator_s_backdrop_is_behind_the_map_and_its_switch_is_kept(
         wait_for_wall(page, "dark", False)
         assert switch.get_attribute("aria-pressed") == "false"
         assert page.locator("#message").is_hidden()
-        page.goto("about:blank")  # it would notice that the server ends
 
 
 def open_annotator(page: "Page", url: str) -> None:
