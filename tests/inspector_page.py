@@ -66,7 +66,7 @@ def open_page(page: "Page", url: str, query: str = "") -> None:
     page.goto(at(url, f"?{query}"))
     status = page.locator("#status")  # waiting in the page needs eval, which it forbids
     wait_for(page, lambda: bool(status.text_content()), "the first frame")
-    settle(page)
+    page.wait_for_timeout(500)
 
 
 def open_flat(page: "Page", url: str, query: str = "") -> None:
