@@ -22,8 +22,7 @@ class DeleteElement:
     def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
         yield RowChange(labels.element(self.element_id), None)
         for row in labels.of_element(self.element_id):
-            yield RowChange(row, None)
-            yield from deletions([labels.outline_of(row.id)])
+            yield from deletions([row, labels.outline_of(row.id)])
         yield from _with_element(labels, self.element_id)
 
 
@@ -38,8 +37,7 @@ class DeleteObservation:
 
     def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
         row = labels.observation(self.observation_id)
-        yield RowChange(row, None)
-        yield from deletions([labels.outline_of(row.id)])
+        yield from deletions([row, labels.outline_of(row.id)])
         if len(labels.of_element(row.element_id)) == 1:
             yield RowChange(labels.element(row.element_id), None)
             yield from _with_element(labels, row.element_id)

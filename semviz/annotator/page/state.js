@@ -14,6 +14,16 @@ export const PLAIN_LIGHT = { brightness: 1.7, contrast: 1.15 };
  * @type {ElementClass} */
 const UNKNOWN = { id: -1, name: "new class", kind: "line", letter: "?", shape: "line", color: "#CCCCCC", color_light: "#555555", key: "" };
 
+/** The last operation that the labels and another part of the page both show, if there is such a part.
+ *
+ * @param {{operation: number, hash: string}} labels
+ * @param {{operation: number, hash: string} | null} part
+ */
+export function lastOfBoth(labels, part) {
+  const { operation, hash } = part && part.operation < labels.operation ? part : labels;
+  return { operation, hash };
+}
+
 /** The page's state: the labels from the server, the pending edits, and the state of this page only. */
 export class State {
   constructor() {
@@ -120,9 +130,7 @@ export class State {
 
   /** The last operation that both the frame and the list of frames show. */
   get lastShown() {
-    const { frame, ...labels } = this.labels;
-    const { operation, hash } = frame && frame.operation < labels.operation ? frame : labels;
-    return { operation, hash };
+    return lastOfBoth(this.labels, this.labels.frame);
   }
 
   /** @param {() => void} listener */

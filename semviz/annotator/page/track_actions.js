@@ -5,6 +5,7 @@
 /** @import {Edit} from "./values.js" */
 /** @import {Tracks} from "./tracks.js" */
 /** @import {Row} from "./track_table.js" */
+import { lastOfBoth } from "./state.js";
 import { counted, uuid7 } from "./values.js";
 
 const LEAST_SCORE = 0.05; // of a proposal that was found in the image
@@ -58,9 +59,7 @@ export class TrackActions {
    */
   #submit(edit) {
     const { details, page, state } = this.tracks;
-    const shown = state.lastShown;
-    const { operation, hash } = details && details.operation < shown.operation ? details : shown;
-    page.submit(edit, { operation, hash });
+    page.submit(edit, lastOfBoth(state.lastShown, details));
   }
 
   /** The labels of the chosen element changed: what is previewed may no longer hold. */
