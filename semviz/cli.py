@@ -32,6 +32,7 @@ MapCommands = Annotated[
     Annotated[maps.MapBuildCommand, subcommand("build")]
     | Annotated[maps.MapCheckCommand, subcommand("check")]
     | Annotated[maps.MapDiffCommand, subcommand("diff")]
+    | Annotated[maps.MapChangesCommand, subcommand("changes")]
     | Annotated[maps.MapLocalizabilityCommand, subcommand("localizability")]
     | Annotated[map_files.MapExportCommand, subcommand("export")]
     | Annotated[map_files.MapImportCommand, subcommand("import")]

@@ -1,0 +1,141 @@
+"""Candidates for new elements: what passes see where the map has nothing."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from semviz_annotation.labels.detections import as_proposals
+from semviz_annotation.labels.labels import Labels
+from semviz_annotation.labels.proposal import ProcessedImages, Proposal
+from semviz_annotation.labels.proposals import Proposals
+from semviz_annotation.mapping.association.detection_tracks import TrackOptions, detection_labels
+from semviz_annotation.mapping.association.merging import LinkOptions
+from semviz_annotation.mapping.association.tracks import find_tracks, finish_detected
+from semviz_annotation.mapping.build import BuildOptions, map_elements
+from semviz_annotation.mapping.passes.evidence import OnProgress, Pass, unexplained
+from semviz_annotation.mapping.placement.observations import collect_observations
+from semviz_core.base.camera import Rig
+from semviz_core.base.elements import Elements3D, joined
+from semviz_core.base.frame import Frame, Side
+from semviz_core.base.semantic_map import (
+    MapFrame,
+    SemanticMap,
+    footprint_covariance_m2,
+    footprint_m,
+)
+from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.common.errors import SemvizError
+
+SAME_M, SAME_SIGMAS = (0.5, 1.5), 3.0
+"""Candidates of two passes are one within so many sigmas, from 0.5 to 1.5 m."""
+_LEAST_POSE_SIGMA_M = 0.05
+NO_ELEMENTS = Elements3D.from_ends([], [], [], [])
+
+
+@dataclass(frozen=True)
+class _Posed:
+    """The frames of a pass with their estimated poses, as a dataset without images."""
+
+    rig: Rig
+    map_frame: MapFrame
+    frames: tuple[Frame, ...]
+
+    def image(self, index: int, side: Side) -> ByteImage:
+        raise SemvizError(f"frame {index}: the {side} image of a pass is not at hand")
+
+
+def candidates(
+    passes: Sequence[Pass], semantic_map: SemanticMap, labels: Labels, on_progress: OnProgress
+) -> Elements3D:
+    """Return one element for each thing that passes see and the map lacks; their ids go on from
+    those of the map. ``labels`` say what classes there are, and what is a triangle's middle."""
+    found = _Clusters()
+    for number, one in enumerate(passes):
+        on_progress("looking for what is not in the map", number, len(passes))
+        if len(one.sure):
+            found.add(_built(one, semantic_map, labels))
+    ids = semantic_map.elements.id
+    return found.elements(int(ids.max()) + 1 if len(ids) else 1)
+
+
+def _built(one: Pass, semantic_map: SemanticMap, labels: Labels) -> Elements3D:
+    """Return the elements that the unexplained detections of a pass make."""
+    rows: list[Proposal] = []
+    frames: list[Frame] = []
+    center = semantic_map.triangle_center
+    for frame, result in one.sure:
+        observed = result.observed[unexplained(result, semantic_map, one.detector)]
+        rows += as_proposals(frame.index, "left", observed, result.camera, one.name, center)
+        assert result.T_camera_map is not None
+        frames.append(replace(frame, T_map_camera=result.T_camera_map.inverse()))
+    nothing = Labels(own_classes=labels.own_classes, triangle_center=center)
+    images: frozenset[tuple[int, Side]] = frozenset((frame.index, "left") for frame in frames)
+    detections = Proposals.of(rows, ProcessedImages(one.name, images=images))
+    source = _Posed(Rig(one.sure[0][1].camera), semantic_map.frame, tuple(frames))
+    linking = LinkOptions(BuildOptions().place, _pose_sigma_m(one))
+    tracked = detection_labels(nothing, detections, source, linking)
+    if not tracked.labels.elements:
+        return NO_ELEMENTS
+    gathered = collect_observations(tracked.labels, source, None, tracked.sigma_ratio)
+    tracks = find_tracks(tracked.labels, gathered, linking, None, lambda what, done, of: None)
+    tracks = finish_detected(tracks, tracked.log_odds.keys(), TrackOptions().min_frames)
+    return map_elements(tracks, tracked.log_odds)[0]
+
+
+def _pose_sigma_m(one: Pass) -> float:
+    """Return the median error of the estimated camera centres, in each direction."""
+    covariances = [result.covariance for _, result in one.sure if result.covariance is not None]
+    if not covariances:
+        return _LEAST_POSE_SIGMA_M
+    sigma_m = np.sqrt([np.trace(covariance[:3, :3]) / 3.0 for covariance in covariances])
+    return max(float(np.median(sigma_m)), _LEAST_POSE_SIGMA_M)
+
+
+class _Cluster(NamedTuple):
+    """Elements of different passes at one place."""
+
+    best: Elements3D
+    """(1) The most precise of them."""
+    place_m: FloatArray
+    """(2,)"""
+    variance_m2: float
+
+
+class _Clusters:
+    def __init__(self) -> None:
+        self._found: list[_Cluster] = []
+
+    def add(self, elements: Elements3D) -> None:
+        """Add the elements of a pass, each to the nearest cluster of its class, or as its own."""
+        variance_m2 = np.trace(footprint_covariance_m2(elements), axis1=1, axis2=2) / 2.0
+        for row, place_m in enumerate(footprint_m(elements)[:, :2]):
+            one = _Cluster(elements[[row]], place_m, float(variance_m2[row]))
+            near = self._nearest(one)
+            if near is None:
+                self._found.append(one)
+            elif one.variance_m2 < self._found[near].variance_m2:
+                self._found[near] = one
+
+    def _nearest(self, one: _Cluster) -> int | None:
+        nearest, least_m = None, np.inf
+        for number, other in enumerate(self._found):
+            away_m = float(np.linalg.norm(one.place_m - other.place_m))
+            sigma_m = np.sqrt(one.variance_m2 + other.variance_m2)
+            same_class = one.best.class_id[0] == other.best.class_id[0]
+            if same_class and away_m < min(least_m, float(np.clip(SAME_SIGMAS * sigma_m, *SAME_M))):
+                nearest, least_m = number, away_m
+        return nearest
+
+    def elements(self, first_id: int) -> Elements3D:
+        """Return the clusters as elements with ids from ``first_id`` on."""
+        if not self._found:
+            return NO_ELEMENTS
+        every = self._found[0].best
+        for cluster in self._found[1:]:
+            every = joined(
+                replace(every, id=np.arange(len(every))),
+                replace(cluster.best, id=np.array([len(every)])),
+            )
+        return replace(every, id=first_id + np.arange(len(every)))

@@ -1,0 +1,193 @@
+"""What passes tell of a map: existence by the counts, and planted changes of a street."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from changing_street import ChangingStreet, drive, place_m
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from semviz_annotation.labels.labels import Labels
+from semviz_annotation.mapping.passes.changes import Change, MapChanges, find_changes
+from semviz_annotation.mapping.passes.evidence import Pass
+from semviz_annotation.mapping.passes.existence import PassCounts, existence_of
+from semviz_annotation.mapping.quality.diff import diff_maps
+from semviz_core.base.map_file import load_map, save_map
+from semviz_core.common.errors import SemvizError
+from semviz_core.simulation.street import Street
+
+CHANGE, PASSES = 3, 8
+RATE = 0.7
+
+
+def counts(*elements: list[tuple[int, int]]) -> PassCounts:
+    """Of (frames that saw it, frames in which it was in view), for each pass."""
+    values = np.array(elements)
+    return PassCounts(values[..., 1], RATE * values[..., 1], values[..., 0])
+
+
+def exists(*passes: tuple[int, int], mapped: bool = True) -> float:
+    found = existence_of(counts(list(passes)), np.array([mapped]))
+    return float(found.now[0])
+
+
+SEEN, MISSED, NO_CHANCE = (7, 10), (0, 10), (0, 0)
+
+
+def test_an_element_that_is_missed_again_and_again_is_gone() -> None:
+    assert exists(*[SEEN] * 3) > 0.99
+    series = [exists(*[SEEN] * 3, *[MISSED] * n) for n in range(6)]
+    assert all(later < earlier for earlier, later in itertools.pairwise(series))
+    assert series[1] > 0.5
+    assert series[5] < 0.05
+
+
+def test_passes_without_a_chance_say_nothing() -> None:
+    with_gaps = [SEEN, NO_CHANCE, SEEN, MISSED, NO_CHANCE, MISSED, MISSED]
+    assert exists(*with_gaps) == pytest.approx(exists(SEEN, SEEN, MISSED, MISSED, MISSED), abs=0.05)
+    assert exists(*[SEEN] * 3, *[NO_CHANCE] * 5) > 0.9
+
+
+def test_what_is_often_hidden_is_not_gone_when_it_is_hidden_again() -> None:
+    often_hidden = [SEEN, MISSED, SEEN, MISSED, MISSED, SEEN, MISSED, MISSED]
+    always_seen = [SEEN] * 6 + [MISSED] * 2
+    assert exists(*often_hidden) > exists(*always_seen)
+
+
+def test_more_missed_frames_of_one_pass_are_not_more_passes() -> None:
+    """What hides an element hides it in all frames of a pass."""
+    assert exists(*[SEEN] * 3, (0, 1000)) > exists(*[SEEN] * 3, *[MISSED] * 3)
+
+
+def test_an_element_is_new_once_several_passes_see_it() -> None:
+    appeared = [MISSED, MISSED, SEEN, SEEN, SEEN]
+    found = existence_of(counts(appeared), np.array([False]))
+    assert found.now[0] > 0.95
+    assert found.first[0] == 2
+    assert exists(MISSED, MISSED, (2, 10), MISSED, MISSED, mapped=False) < 0.5
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)), min_size=1, max_size=6))
+def test_existence_is_that_of_all_possible_lives(passes: list[tuple[int, int]]) -> None:
+    """Against a sum over lives, one after the other, for one probability to be hidden at a time."""
+    from semviz_annotation.mapping.passes import existence
+
+    rows = [(min(pair), max(pair)) for pair in passes]
+    found = existence_of(counts(rows), np.array([True]))
+    p, change = len(rows), existence.CHANGE_PER_PASS
+
+    def rated(seen: int, chances: int, rate: float) -> float:
+        return float(rate**seen * (1.0 - rate) ** (chances - seen))
+
+    def absent(seen: int, chances: int) -> float:
+        return 0.97 * rated(seen, chances, 0.01) + 0.03 * rated(seen, chances, 0.3)
+
+    def present(seen: int, chances: int, hidden: float) -> float:
+        rate = RATE if chances else 0.02
+        visible = 0.85 * rated(seen, chances, rate) + 0.15 * rated(seen, chances, 0.4 * rate)
+        return hidden * absent(seen, chances) + (1.0 - hidden) * visible
+
+    by_hidden = []
+    for hidden in existence.HIDDEN:
+        lives = []
+        for gone in range(p + 1):
+            prior = 0.02 if gone == 0 else 0.98 * (1.0 - change) ** (gone - 1)
+            prior *= change if 0 < gone < p else 1.0
+            there = [present(*row, float(hidden)) for row in rows[:gone]]
+            lives.append(prior * np.prod([*there, *(absent(*row) for row in rows[gone:])]))
+        by_hidden.append(lives)
+    lives = np.array(by_hidden)  # (g, p + 1)
+    weights = start = existence.HIDDEN_PRIOR / existence.HIDDEN_PRIOR.sum()
+    for _ in range(5):
+        posterior = weights * lives.sum(axis=1)
+        weights = posterior / posterior.sum() + 20.0 * start
+        weights = weights / weights.sum()
+    of_life = weights @ lives
+    assert found.now[0] == pytest.approx(of_life[p] / of_life.sum(), rel=1e-6)
+
+
+@pytest.fixture(scope="module")
+def world() -> ChangingStreet:
+    """Three elements that most frames show change before the pass ``CHANGE``."""
+    street = Street(5)
+    still = ChangingStreet(street, {}, {}, {}, {})
+    shown = [id_ for id_ in street.truth_map.elements.id.tolist() if still.is_shown(id_)]
+    poles = [
+        id_
+        for id_ in shown
+        if street.truth_map.elements.is_line[id_ == street.truth_map.elements.id][0]
+    ]
+    signs = [id_ for id_ in shown if id_ not in poles]
+    return ChangingStreet(
+        street,
+        {poles[0]: CHANGE},
+        {signs[0]: CHANGE},
+        {poles[3]: CHANGE},
+        {poles[3]: np.array([0.9, -1.2, 0.0])},
+    )
+
+
+@pytest.fixture(scope="module")
+def passes(world: ChangingStreet) -> list[Pass]:
+    return [drive(world, number, hidden_share=0.05) for number in range(PASSES)]
+
+
+@pytest.fixture(scope="module")
+def found(world: ChangingStreet, passes: list[Pass]) -> MapChanges:
+    first = world.first_map
+    return find_changes(passes, first, Labels(triangle_center=first.triangle_center))
+
+
+def of_kind(found: MapChanges, kind: str) -> list[Change]:
+    return [change for change in found.changes if change.kind == kind]
+
+
+def test_planted_changes_are_found_and_nothing_else(
+    world: ChangingStreet, found: MapChanges
+) -> None:
+    (vanished,), (new,), (moved,) = (of_kind(found, kind) for kind in ("vanished", "new", "moved"))
+    assert vanished.name == world.first_map.name_of(*world.vanishes)
+    assert vanished.since == str(CHANGE)
+    assert new.since == str(CHANGE)
+    truth = world.street.truth_map
+    assert np.linalg.norm(place_m(truth, *world.appears) - new.place_m[:2]) < 0.5
+    assert moved.name == world.first_map.name_of(*world.moves)
+    assert moved.moved_m == pytest.approx(1.5, abs=0.4)
+    assert np.linalg.norm(place_m(truth, *world.moves) - moved.place_m[:2]) < 0.4
+
+
+def test_a_street_that_does_not_change_is_found_unchanged(world: ChangingStreet) -> None:
+    still = ChangingStreet(world.street, {}, {}, {}, {})
+    passes = [drive(still, number, hidden_share=0.05) for number in range(4)]
+    found = find_changes(passes, still.first_map, Labels(triangle_center="centroid"))
+    assert [change for change in found.changes if change.kind != "unsure"] == []
+
+
+def test_the_changed_map_is_that_of_the_changed_street(
+    world: ChangingStreet, found: MapChanges, tmp_path: "pytest.TempPathFactory"
+) -> None:
+    changed = found.changed_map()
+    save_map(changed, tmp_path / "next.parquet")
+    diff = diff_maps(world.first_map, load_map(tmp_path / "next.parquet")).as_dict()
+    assert len(changed) == len(world.first_map)
+    assert world.vanishes.keys().isdisjoint(changed.elements.id.tolist())
+    (moved,) = world.moves
+    assert np.linalg.norm(place_m(changed, moved) - place_m(world.street.truth_map, moved)) < 0.4
+    assert diff
+
+
+def test_a_kept_element_stays_as_it_is(world: ChangingStreet, found: MapChanges) -> None:
+    (vanished,) = world.vanishes
+    kept = found.changed_map([world.first_map.name_of(vanished)])
+    assert vanished in kept.elements.id.tolist()
+    with pytest.raises(SemvizError, match="P-9999 is no change of this map"):
+        found.changed_map(["P-9999"])
+
+
+def test_one_pass_is_not_enough(world: ChangingStreet, passes: list[Pass]) -> None:
+    nothing = replace(passes[1], frames=(), localizations=())
+    with pytest.raises(SemvizError, match="one pass cannot tell a miss from a change"):
+        find_changes([passes[0], nothing], world.first_map, Labels(triangle_center="centroid"))
