@@ -26,7 +26,10 @@ def mutated(data: bytes, rng: random.Random) -> bytes:
                 document = json.loads(data)
             except (ValueError, RecursionError):
                 return _bytes(data, rng)
-            data = json.dumps(_json(document, rng)).encode()
+            try:
+                data = json.dumps(_json(document, rng)).encode()
+            except RecursionError:  # nested deeper than Python writes, by several changes
+                return _bytes(data, rng)
     return _bytes(data, rng) if rng.random() < 0.05 else data
 
 

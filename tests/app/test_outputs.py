@@ -151,6 +151,7 @@ INPUTS = {
     "detect rates": {"run_file"},
     "map backdrop": {"workspace"},
     "map build": {"workspace"},
+    "map changes": {"workspace", "runs"},
     "map check": {"workspace"},
     "map diff": {"workspace"},
     "map localizability": {"workspace"},
