@@ -380,7 +380,8 @@ def test_a_track_that_is_off_its_detections_is_not_sure(
     detected = load_proposals(session.workspace.proposals_path)
     cameras = Cameras(session.rig, session.source.frames)
     good = DetectionTracks.of(semantic_map, detected, cameras).by_id[track_id(found[FALSE])]
-    assert good.is_sure and not good.doubt
+    assert good.is_sure
+    assert not good.doubt
     elements = semantic_map.elements
     aside = np.where(elements.id[:, None] == FALSE, [0.0, 0.3, 0.0], 0.0)
     moved = replace(elements, anchor_m=elements.anchor_m + aside, end_m=elements.end_m + aside)
