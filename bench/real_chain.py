@@ -8,12 +8,14 @@ frames, and localizes the odd frames in it from their own detections, with GPS 5
 unknown heading. Labels judge the detector, and are not used for the map.
 
 Columns of the second table. ok: share of frames with status ok; below 1 m: of all frames. RTE:
-mean error of ok frames. wrong: ok frames that are more than 1 m or 1 deg off.
+mean error of ok frames. wrong: ok frames that are more than 1 m or 1 deg off. false: poles and
+signs of the map that stand on nothing labelled (more of their detections are false than right; the
+labels tell up to 200 m), and those that nobody can tell.
 """
 
 import argparse
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +27,7 @@ from semviz.workspace.localize import LocalizeOptions, localize_workspace
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.detections import as_elements
 from semviz_annotation.labels.labels import Labels
+from semviz_annotation.labels.proposal import Proposal
 from semviz_annotation.labels.proposals import (
     Proposals,
     load_proposals,
@@ -43,6 +46,7 @@ from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
 from semviz_core.detection.detector import load_detector
+from semviz_core.metrics.detection import IGNORED, REACH_M
 from semviz_core.metrics.detection_summary import ImageEvaluation, detection_figures
 from semviz_core.metrics.pose_errors import pose_error
 
@@ -50,6 +54,8 @@ LABELS = Path(__file__).parents[1] / "docs" / "kitti02" / "labels.jsonl"
 SIDES: tuple[Side, Side] = ("left", "right")
 BOARDS = (1, 2, 18, 25)
 """Element numbers of adverts, notices and a container in ``LABELS``: no traffic signs."""
+FAR_M = 200.0
+"""Labels tell this far which elements of a map are false."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +97,10 @@ def main() -> None:
         )
         detections = _detections(workspace, options.model, options.proposals, options.least_score)
         save_proposals(detections, workspace.proposals_path)
+        judge = None
         if options.labels.is_file():
             print_detector(workspace, detections, options.labels)
+            judge = Judge.of(workspace, detections, options.labels)
         print(
             f"\n{'map of the even frames':<34}{'poles':>6}{'signs':>6}{'frames':>8}{'ok':>6}",
             end="",
@@ -100,7 +108,7 @@ def main() -> None:
         print(f"{'below 1 m':>11}{'RTE':>9}{'wrong':>7}")
         calibration = options.calibration and DetectorCalibration.load(options.calibration)
         for case in CASES:
-            print_case(workspace, case, detections, frames, options.seeds, calibration)
+            print_case(workspace, case, detections, frames, options.seeds, calibration, judge)
 
 
 def _arguments() -> argparse.Namespace:
@@ -142,19 +150,8 @@ def _detections(
 
 def print_detector(workspace: Workspace, detections: Proposals, labels: Path) -> None:
     """Recall and false detections up to 40 m, in all images; boards are neither."""
-    judged = Workspace.open(workspace.path)
-    with judged.open_labels() as store:
-        import_operations(labels, store)
     ignored = BOARDS if labels == LABELS else ()
-    images = [
-        ImageEvaluation(
-            as_elements(detections.in_frame(image.frame_index, image.side), image.triangle_center),
-            image.truth(),
-            0.0,
-        )
-        for image in labelled_images(judged, None, SIDES, ignored=ignored)
-    ]
-    judged.labels_path.unlink()
+    images = [image for _, image in _judged(workspace, detections, labels, REACH_M, ignored)]
     figures = detection_figures(images, workspace.classes, 0.0)
     print(f"{len(detections)} detections in {len(images)} images, up to 40 m:")
     for name, of_class in figures.classes.items():
@@ -165,6 +162,60 @@ def print_detector(workspace: Workspace, detections: Proposals, labels: Path) ->
             )
 
 
+def _judged(
+    workspace: Workspace,
+    detections: Proposals,
+    labels: Path,
+    reach_m: float,
+    ignored: Collection[int] = (),
+) -> list[tuple[list[Proposal], ImageEvaluation]]:
+    """Return the detections of each image, and how they compare with the labels, which the
+    workspace has meanwhile."""
+    judged = Workspace.open(workspace.path)
+    with judged.open_labels() as store:
+        import_operations(labels, store)
+    images = []
+    for image in labelled_images(judged, None, SIDES, reach_m, ignored):
+        found = detections.in_frame(image.frame_index, image.side)
+        elements = as_elements(found, image.triangle_center)
+        images.append((found, ImageEvaluation(elements, image.truth(), 0.0)))
+    judged.labels_path.unlink()
+    return images
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Tells which elements of a map from detections stand on nothing labelled."""
+
+    is_right: dict[str, bool]
+    """Whether a detection is of a label, by id; without those that cannot be told."""
+
+    @classmethod
+    def of(cls, workspace: Workspace, detections: Proposals, labels: Path) -> "Judge":
+        return cls(
+            {
+                row.id: match >= 0
+                for found, image in _judged(workspace, detections, labels, FAR_M)
+                for row, match in zip(found, image.matches.tolist(), strict=True)
+                if match != IGNORED
+            }
+        )
+
+    def told(self, built: SemanticMap) -> str:
+        """Return the number of false poles and signs of a map, and of those that nobody can
+        tell."""
+        names: dict[bool | None, list[str]] = {False: [], None: []}
+        for id_, origin in zip(built.elements.id.tolist(), built.provenance, strict=True):
+            votes = [self.is_right[row] for row in origin.observation_ids if row in self.is_right]
+            is_right = 2 * sum(votes) >= len(votes) if votes else None
+            if not is_right:
+                names[is_right].append(built.name_of(id_))
+        return "; ".join(
+            " ".join([f"{len(some)} {text}:", *some]) if some else f"0 {text}"
+            for some, text in zip(names.values(), ("false", "not told"), strict=True)
+        )
+
+
 def print_case(
     workspace: Workspace,
     case: Case,
@@ -172,6 +223,7 @@ def print_case(
     frames: range,
     seeds: int,
     calibration: DetectorCalibration | None,
+    judge: Judge | None,
 ) -> None:
     chosen = case.of(detections)
     save_proposals(chosen, workspace.proposals_path)
@@ -193,6 +245,8 @@ def print_case(
         flush=True,
     )
     print(f"  {report.detections}")
+    if judge is not None:
+        print(f"  of the map's elements {judge.told(built)}")
 
 
 def _map(

@@ -75,15 +75,20 @@ class DetectionTrack:
     def probability(self) -> float | None:
         return None if self.log_odds is None else float(expit(self.log_odds))
 
-    @cached_property
+    @property
     def is_sure(self) -> bool:
         """Whether it may be accepted together with others."""
-        return (
-            len(self.frames) >= SURE_FRAMES
-            and self.log_odds is not None
-            and self.log_odds >= SURE_LOG_ODDS
-            and self.residual_px <= SURE_PX
-        )
+        return not self.doubt
+
+    @cached_property
+    def doubt(self) -> str:
+        """Why a person should look at it first: ``2 frames only``, ``98.2 % sure``, ``2.8 px off``;
+        empty if it is sure."""
+        if len(self.frames) < SURE_FRAMES:
+            return "1 frame only" if len(self.frames) == 1 else f"{len(self.frames)} frames only"
+        if self.log_odds is None or self.log_odds < SURE_LOG_ODDS:
+            return "existence unknown" if self.log_odds is None else f"{self.existence} sure"
+        return f"{self.residual_px:.1f} px off" if self.residual_px > SURE_PX else ""
 
     @cached_property
     def best_frame(self) -> int:
@@ -95,13 +100,13 @@ class DetectionTrack:
 
 
 def _doubt(track: DetectionTrack) -> tuple[bool, float, int, float]:
-    """The sort key of tracks: the smaller, the more doubtful."""
+    """The sort key of tracks: the smaller, the less sure."""
     return track.is_sure, track.log_odds or 0.0, len(track.frames), -track.residual_px
 
 
 @dataclass(frozen=True, eq=False)
 class DetectionTracks:
-    """The tracks of one map, whether open or not; the most doubtful first."""
+    """The tracks of one map, whether open or not; the least sure first."""
 
     tracks: tuple[DetectionTrack, ...] = ()
     elements: Elements3D = field(default_factory=lambda: Elements3D.from_ends([], [], [], []))
@@ -248,7 +253,7 @@ class OpenTracks:
         self._sorted: tuple[int, ...] = ()
 
     def of(self, labels: Labels) -> tuple[DetectionTrack, ...]:
-        """Return the open tracks, the most doubtful first."""
+        """Return the open tracks, the least sure first."""
         return tuple(self.tracks.tracks[place] for place in self.places(labels))
 
     def sure(self, labels: Labels) -> tuple[DetectionTrack, ...]:

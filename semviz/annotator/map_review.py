@@ -338,10 +338,11 @@ def _track_entry(track: DetectionTrack) -> EntryView:
         frames=[frames[place] for place in some],
     )
     images = len(track.detections)
+    found = f"{images} detections that fit one object" if images > 1 else "A single detection"
     return EntryView(
         key=track.id,
         kind="track",
-        reason=f"{images} detections that fit one object" if images > 1 else "A single detection",
+        reason=f"{found}: {track.doubt}, look at it first" if track.doubt else f"{found}: sure",
         evidence=[
             FigureView(name="Frames", value=f"{len(frames)}"),
             FigureView(name="Residual", value=f"{track.residual_px:.1f} px"),

@@ -58,6 +58,8 @@ class TrackView(Part):
     residual_px: float
     existence: str
     """The probability that it exists: ``98.2 %``, ``> 99.9 %`` or ``unknown``."""
+    doubt: str
+    """Why a person should look at it first, in two or three words; empty: it is sure."""
 
 
 class ProposalView(ElementRef):
@@ -134,6 +136,7 @@ def track_view(track: DetectionTrack) -> TrackView:
         last=frames[-1],
         residual_px=track.residual_px,
         existence=track.existence,
+        doubt=track.doubt,
     )
 
 

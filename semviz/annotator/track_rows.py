@@ -57,8 +57,8 @@ class TrackRow(ElementRef):
     worst_px: float | None
     score: float | None
     """Probability that an open track exists; None for label elements."""
-    sure: bool
-    """Whether an open track may be accepted with others."""
+    doubt: str
+    """Why a person should look at an open track first; empty: it is sure, or no track."""
     left_out: bool
     notes: list[NoteView]
     attributes: dict[str, str]
@@ -221,7 +221,7 @@ class TrackRows:
             views=len(rows),
             worst_px=None if worst is None else round(worst, 2),
             score=None,
-            sure=False,
+            doubt="",
             left_out=labels.is_left_out(element.id),
             notes=[note_view(note) for note in labels.notes_of(element.id)],
             attributes=attribute_values(labels, element.id),
@@ -250,7 +250,7 @@ class TrackRows:
             views=len(track.detections),
             worst_px=round(track.residual_px, 2),
             score=track.probability,
-            sure=track.is_sure,
+            doubt=track.doubt,
             left_out=False,
             notes=[],
             attributes={},
@@ -282,7 +282,7 @@ def _gone(element_id: str) -> TrackRow:
         views=0,
         worst_px=None,
         score=None,
-        sure=False,
+        doubt="",
         left_out=False,
         notes=[],
         attributes={},

@@ -362,6 +362,7 @@ def test_what_was_rejected_never_returns(landmark):
     passes = [
         detections,
         Detector(seed=5, recall=0.7).detect(road, POLES + SIGNS),
+        Detector(seed=7, recall=0.95, false=6.0).detect(road, POLES + SIGNS),  # a lower threshold
         Detector(seed=6).detect(again, POLES + SIGNS),
         joined(detections, Detector(seed=6).detect(again, POLES + SIGNS)),
     ]

@@ -320,7 +320,7 @@ def test_sure_tracks_are_accepted_together_if_there_are_as_many_as_were_shown(
     assert session.labels == Labels()
 
 
-def test_the_list_of_open_tracks_begins_with_the_most_doubtful(session: LabelSession) -> None:
+def test_the_list_of_open_tracks_begins_with_the_least_sure(session: LabelSession) -> None:
     first = entry(session, None, 0, 0)
     assert first.count == session.summary().map.tracks
     frames = []
@@ -381,13 +381,17 @@ def test_a_track_that_is_off_its_detections_is_not_sure(
     cameras = Cameras(session.rig, session.source.frames)
     good = DetectionTracks.of(semantic_map, detected, cameras).by_id[track_id(found[FALSE])]
     assert good.is_sure
+    assert not good.doubt
     elements = semantic_map.elements
     aside = np.where(elements.id[:, None] == FALSE, [0.0, 0.3, 0.0], 0.0)
     moved = replace(elements, anchor_m=elements.anchor_m + aside, end_m=elements.end_m + aside)
     semantic_map = replace(semantic_map, elements=moved)
     bad = DetectionTracks.of(semantic_map, detected, cameras).by_id[track_id(found[FALSE])]
     assert bad.residual_px > 3.0
-    assert not bad.is_sure
+    assert bad.doubt == f"{bad.residual_px:.1f} px off"
+    assert replace(good, log_odds=4.0).doubt == "98.2 % sure"
+    assert replace(good, log_odds=None).doubt == "existence unknown"
+    assert replace(bad, detections=bad.detections[:1]).doubt == "1 frame only"
 
 
 def test_an_edit_that_comes_before_the_map_is_read_waits_for_it(

@@ -66,6 +66,14 @@ class Region:
         points = np.stack([columns, rows], axis=1).astype(np.float64)
         return np.asarray(points + np.asarray(self.corner_px))
 
+    @cached_property
+    def filled(self) -> float | None:
+        """Share of its extent that the mask covers; None without a mask."""
+        if self.mask is None or not self.mask.any():
+            return None
+        rows, columns = self.mask.any(axis=1), self.mask.any(axis=0)
+        return float(self.mask[rows][:, columns].mean())
+
 
 _SAME_POLE_PX = 1.5
 """Poles closer than this plus half a width are the same."""

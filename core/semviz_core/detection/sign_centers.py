@@ -113,7 +113,8 @@ def center_by_model(region: Region) -> SignCenter:
         columns = np.flatnonzero(region.mask.any(axis=0))
         low = region.corner_px + np.array([columns[0], rows[0]], dtype=np.float64)
         high = region.corner_px + np.array([columns[-1], rows[-1]], dtype=np.float64)
-        candidates.append(_between("center by mask", low, high, 1.0 - _filled(region)))
+        assert region.filled is not None
+        candidates.append(_between("center by mask", low, high, 1.0 - region.filled))
     return min(candidates, key=lambda center: center.sigma_px)
 
 
@@ -228,9 +229,9 @@ def shape_evidence(
     region = regions[0]
     one_hot = [float(class_id == shape) for shape in SHAPES]
     fill_error = 0.0
-    if region.mask is not None and region.mask.any():
+    if region.filled is not None:
         share = _FILLED.get(class_id, np.pi / 4.0)
-        fill_error = min(abs(_filled(each) - share) for each in regions)
+        fill_error = min(abs((each.filled or 0.0) - share) for each in regions)
     size = np.log(model_center.half_px.min())
     if not centers:
         return np.array([*one_hot, 1.0, 0.0, 0.0, 1.0, 0.0, fill_error, size])
@@ -262,22 +263,15 @@ def _mask_overlap(mask: BoolArray, polygon: FloatArray) -> float:
     canvas = np.zeros([side + 2 * margin for side in mask.shape], np.uint8)
     corners = np.round((polygon + margin) * 16.0).astype(np.int32)
     cv2.fillPoly(canvas, [corners], 1, cv2.LINE_8, 4)
-    drawn = int(canvas.sum())
     height, width = mask.shape
-    common = int((canvas[margin : margin + height, margin : margin + width] > 0)[mask].sum())
-    return common / (drawn + int(mask.sum()) - common)
+    inside = canvas[margin : margin + height, margin : margin + width]
+    common = np.count_nonzero(inside[mask])
+    return common / (np.count_nonzero(canvas) + np.count_nonzero(mask) - common)
 
 
 def class_by_mask(region: Region) -> int:
     """Return the shape that covers the most similar share of its box; rectangular without mask."""
-    if region.mask is None or not region.mask.any():
+    filled = region.filled
+    if filled is None:
         return RECTANGULAR
-    filled = _filled(region)
     return min(SHAPES, key=lambda class_id: abs(filled - _FILLED[class_id]))
-
-
-def _filled(region: Region) -> float:
-    """Return the share of its extent that a mask covers."""
-    assert region.mask is not None
-    rows, columns = region.mask.any(axis=1), region.mask.any(axis=0)
-    return float(region.mask[rows][:, columns].mean())

@@ -280,7 +280,7 @@ def _is_chosen(grid: _Grid, turned: float, t: int, w: int, c: int, chosen: IntAr
 def edge_votes(strip: Samples) -> FloatArray:
     """Return votes (rows, columns) for an edge along a pole, 0 to 1."""
     rows, columns, _ = strip.shape
-    votes, size = np.empty((rows, columns)), np.zeros(columns)
+    votes, size, after = np.empty((rows, columns)), np.zeros(columns), np.zeros(columns)
     for row in range(rows):
         for k in range(2, columns - 2):
             square = 0.0
@@ -290,8 +290,12 @@ def edge_votes(strip: Samples) -> FloatArray:
                 square += (slope / (8.0 * STEP_PX)) ** 2
             size[k] = np.sqrt(square / 3.0)
         for k in range(columns):
-            before, after = size[max(k - 5, 0) : k + 1].min(), size[k : k + 6].min()
-            above = size[k] - max(before, after)
+            after[k] = size[k]
+            for beside in range(k + 1, min(k + 6, columns)):
+                after[k] = min(after[k], size[beside])
+        for k in range(columns):
+            before = after[k - 5] if k >= 5 else size[: k + 1].min()
+            above = size[k] - max(before, after[k])
             votes[row, k] = above**2 / (above**2 + _EDGE**2)
     return votes
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray
 from semviz_core.common.jit import compiled
 from semviz_core.subpixel.pole_axis import (
     STEP_PX,
@@ -41,23 +41,37 @@ def visible_end(
 
     None without exactly one clear change of colour within ``reach_px``.
     """
-    length = float(np.linalg.norm(end_px - other_px))
+    place, most = _visible_end(image.image, np.array([other_px, end_px]), width_px, reach_px)
+    return float(place) if abs(place) <= most else None
+
+
+@compiled
+def _visible_end(
+    image: ByteImage, line_px: FloatArray, width_px: float, reach_px: float
+) -> tuple[float, float]:
+    """Return how far beyond a line (2, 2) the pole's colour ends, infinite if that is unclear, and
+    the largest distance that counts."""
+    du, dv = line_px[1, 0] - line_px[0, 0], line_px[1, 1] - line_px[0, 1]
+    length = np.hypot(du, dv)
     most = min(reach_px, 0.3 * length)
     reach = most + _BEFORE + _AFTER
     offsets = np.arange(-reach, reach + _STEP_PX / 2, _STEP_PX)
-    along = (end_px - other_px) / length
-    points = end_px + offsets[:, None] * along
-    height, width = image.image.shape[:2]
-    if ((points < 0.0) | (points > [width - 1.0, height - 1.0])).any():
-        return None
-    normal = across(np.stack([other_px, end_px]))
-    half = max(0.0, width_px / 2.0 - 0.75)
-    beside, used = np.linspace(-half, half, 5), np.ones(5, np.bool_)
-    colors = mean_colors(rows_across(image.image, points, normal, beside), used)
-    body = end_px + np.linspace(0.05, 0.6, 24)[:, None] * (other_px - end_px)
-    pole = median_color(mean_colors(rows_across(image.image, body, normal, beside), used))
-    place = _color_change(colors, pole, offsets)
-    return place if place is not None and abs(place) <= most else None
+    points, body = np.empty((len(offsets), 2)), np.empty((24, 2))
+    for k in range(len(offsets)):
+        points[k, 0] = line_px[1, 0] + offsets[k] * (du / length)
+        points[k, 1] = line_px[1, 1] + offsets[k] * (dv / length)
+    height, width = image.shape[:2]
+    for k in (0, len(offsets) - 1):
+        if not (0.0 <= points[k, 0] <= width - 1.0 and 0.0 <= points[k, 1] <= height - 1.0):
+            return np.inf, most
+    for k in range(24):
+        share = 0.05 + 0.55 * k / 23.0
+        body[k, 0], body[k, 1] = line_px[1, 0] - share * du, line_px[1, 1] - share * dv
+    normal, half = across(line_px), max(0.0, width_px / 2.0 - 0.75)
+    beside, used = half * np.linspace(-1.0, 1.0, 5), np.ones(5, np.bool_)
+    colors = mean_colors(rows_across(image, points, normal, beside), used)
+    pole = median_color(mean_colors(rows_across(image, body, normal, beside), used))
+    return _color_change(colors, pole, offsets), most
 
 
 @compiled
@@ -76,28 +90,35 @@ def rows_across(
     return strip
 
 
-def _color_change(colors: FloatArray, pole: FloatArray, offsets: FloatArray) -> float | None:
+@compiled
+def _color_change(colors: FloatArray, pole: FloatArray, offsets: FloatArray) -> float:
     """Return the offset (px) where colours (n, 3) at ``offsets`` (n,) leave the pole's colour (3,).
 
-    None without exactly one clear change.
+    Infinite without exactly one clear change.
     """
-    off = np.sqrt(((colors - pole) ** 2).mean(axis=1))
     inner, outer = int(_BEFORE / _STEP_PX), int(_AFTER / _STEP_PX)
-    sums = np.concatenate([[0.0], np.cumsum(off)])
-    split = np.arange(inner, len(offsets) - outer + 1)  # the end is before this sample
-    before = (sums[split] - sums[split - inner]) / inner
-    after = (sums[split + outer] - sums[split]) / outer
-    step = after - before
+    sums = np.zeros(len(colors) + 1)
+    for k in range(len(colors)):
+        square = 0.0
+        for channel in range(3):
+            square += (colors[k, channel] - pole[channel]) ** 2
+        sums[k + 1] = sums[k] + np.sqrt(square / 3.0)
+    splits = np.arange(inner, len(offsets) - outer + 1)  # the end is before this sample
+    before = (sums[splits] - sums[splits - inner]) / inner
+    step = (sums[splits + outer] - sums[splits]) / outer - before
     best = int(np.argmax(step))
     if before[best] > _PLAIN_STEP or step[best] < _LEVELS:
-        return None
-    second_step = (np.abs(split - split[best]) > outer) & (before < _PLAIN_STEP)
-    if second_step.any() and step[second_step].max() > 0.6 * step[best]:
-        return None
-    first, last = split[best] - inner, split[best] + outer
-    beyond = np.median(colors[split[best] + 1 : last], axis=0) - pole
-    share = np.clip((colors[first:last] - pole) @ beyond / (beyond @ beyond), 0.0, 1.0)
-    return float(offsets[last - 1] + 0.5 * _STEP_PX - share.sum() * _STEP_PX)
+        return np.inf
+    for k in range(len(splits)):
+        is_second = abs(k - best) > outer and before[k] < _PLAIN_STEP
+        if is_second and step[k] > 0.6 * step[best]:
+            return np.inf
+    first, last = splits[best] - inner, splits[best] + outer
+    beyond = median_color(colors[splits[best] + 1 : last]) - pole
+    squares, share = (beyond**2).sum(), 0.0
+    for k in range(first, last):
+        share += min(max(((colors[k] - pole) * beyond).sum() / squares, 0.0), 1.0)
+    return float(offsets[last - 1] + 0.5 * _STEP_PX - share * _STEP_PX)
 
 
 _SAME_COLOR = 14.0
@@ -181,17 +202,36 @@ def _row_votes(
 
     Clutter is the mean vote for an edge in and beside the pole.
     """
+    return _votes_like(image, line_px, width_px, points, _pole_color(image, line_px, width_px))
+
+
+@compiled
+def _columns(width_px: float) -> tuple[FloatArray, BoolArray]:
+    """Return where rows across a pole are sampled, and which samples are on the pole."""
     half = width_px / 2.0 + 4.0
     beside = np.arange(-half, half + STEP_PX / 2, STEP_PX)
-    inner = np.abs(beside) <= max(0.3, width_px / 2.0 - 0.75)
-    normal = across(line_px)
+    return beside, np.abs(beside) <= max(0.3, width_px / 2.0 - 0.75)
+
+
+@compiled
+def _pole_color(image: ByteImage, line_px: FloatArray, width_px: float) -> FloatArray:
+    """Return the colour (3,) of a pole before the end of a line."""
+    beside, inner = _columns(width_px)
     body = np.empty((16, 2))
     for k in range(16):
         share = 0.2 + 0.5 * k / 15.0
         for axis in range(2):
             body[k, axis] = line_px[1, axis] + share * (line_px[0, axis] - line_px[1, axis])
-    pole = median_color(mean_colors(rows_across(image, body, normal, beside), inner))
-    strip = rows_across(image, points, normal, beside)
+    return median_color(mean_colors(rows_across(image, body, across(line_px), beside), inner))
+
+
+@compiled
+def _votes_like(
+    image: ByteImage, line_px: FloatArray, width_px: float, points: FloatArray, pole: FloatArray
+) -> FloatArray:
+    """Return ``_row_votes`` for a pole of a colour (3,)."""
+    beside, inner = _columns(width_px)
+    strip = rows_across(image, points, across(line_px), beside)
     edges, colors = edges_of_pole(strip, beside, width_px), mean_colors(strip, inner)
     votes = np.empty((len(points), 4))
     for row in range(len(points)):
@@ -253,33 +293,79 @@ def grown_end(
     to_border = int(_to_border_px(image, line))
     if to_border < _FEWEST:
         return NOT_GROWN
-    rows = _RowsBeyond(image, line, width_px)
+    return GrownEnd(*_followed(image.image, line, width_px, most_aside, gap, to_border))
+
+
+@compiled
+def _followed(
+    image: ByteImage,
+    line_px: FloatArray,
+    width_px: float,
+    most_aside: float,
+    gap: float,
+    to_border: int,
+) -> tuple[float, float, float, float]:
+    """Return the values of ``GrownEnd``, ``to_border`` rows being left; each is examined once."""
     at_first = min(_AT_FIRST, to_border)
-    seen, slopes = min(_AT_ONCE, at_first), _slopes(most_aside, at_first)
+    seen, examined, slopes = min(_AT_ONCE, at_first), 0, _slopes(most_aside, at_first)
+    odds, clutter = np.empty((len(slopes), to_border)), np.empty((len(slopes), to_border))
+    pole = _pole_color(image, line_px, width_px)
     while True:
-        odds, clutter = rows.until(seen, slopes)
-        slope, last, stopped = _furthest(odds, gap)
+        _examine(image, line_px, width_px, pole, slopes, examined, odds[:, :seen], clutter)
+        examined = seen
+        slope, last, stopped = _furthest(odds[:, :seen], gap)
         if seen == to_border or (stopped and (seen == _AT_FIRST or last + _BEYOND <= seen)):
             break
         if seen < at_first:
             seen = min(seen + _AT_ONCE, at_first)
             continue
-        if not stopped:
-            slopes = _slopes(most_aside, to_border)
+        wider = slopes if stopped else _slopes(most_aside, to_border)
+        if len(wider) != len(slopes):
+            slopes, examined = wider, 0
+            odds, clutter = np.empty((len(slopes), to_border)), np.empty((len(slopes), to_border))
         seen = min(2 * seen, to_border)
-    gain = float(odds[slope, :last].sum())
+    gain = odds[slope, :last].sum()
     if last == to_border:
-        return GrownEnd(float(last), gain, 0.0, 0.0)
-    beyond = slice(last, last + _BEYOND)
-    return GrownEnd(
-        float(last), gain, float(odds[slope, beyond].mean()), float(clutter[slope, beyond].mean())
-    )
+        return float(last), gain, 0.0, 0.0
+    end = min(last + _BEYOND, seen)
+    return float(last), gain, odds[slope, last:end].mean(), clutter[slope, last:end].mean()
 
 
+@compiled
 def _slopes(most_aside: float, count: int) -> FloatArray:
     """Return (n,) how far, per px, a pole may be beside its line; 0 only if it is hardly so."""
     sure = most_aside * count < _STRAIGHT_PX
     return np.zeros(1) if sure else most_aside * np.linspace(-1.0, 1.0, 5)
+
+
+@compiled
+def _examine(
+    image: ByteImage,
+    line_px: FloatArray,
+    width_px: float,
+    pole: FloatArray,
+    slopes: FloatArray,
+    first: int,
+    odds: FloatArray,
+    clutter: FloatArray,
+) -> None:
+    """Fill the columns from ``first`` of ``odds`` (slopes, rows), of rows beyond the end of a line
+    being the pole's, and of ``clutter``."""
+    right, count = across(line_px), odds.shape[1] - first
+    length = np.hypot(line_px[1, 0] - line_px[0, 0], line_px[1, 1] - line_px[0, 1])
+    points = np.empty((count, 2))
+    for k in range(len(slopes)):
+        for row in range(count):
+            for axis in range(2):
+                step = (line_px[1, axis] - line_px[0, axis]) / length + slopes[k] * right[axis]
+                points[row, axis] = line_px[1, axis] + (first + row + 0.5) * step
+        votes = _votes_like(image, line_px, width_px, points, pole)
+        for row in range(count):
+            total = WEIGHTS[0] - _CAUTION
+            for part in range(3):
+                total += votes[row, part] * WEIGHTS[1 + part]
+            odds[k, first + row] = min(max(total, -_CLEAR_ROW), _CLEAR_ROW)
+            clutter[k, first + row] = votes[row, 3]
 
 
 def _to_border_px(image: SampledImage, line_px: FloatArray) -> float:
@@ -308,30 +394,3 @@ def _furthest(odds: FloatArray, gap: float) -> tuple[int, int, bool]:
             if total > largest:
                 slope, last, largest = k, row + 1, total
     return slope, last, stopped == len(odds)
-
-
-class _RowsBeyond:
-    """Rows beyond the end of a line; each is examined once."""
-
-    def __init__(self, image: SampledImage, line_px: FloatArray, width_px: float) -> None:
-        self._image, self._line_px, self._width_px = image, line_px, width_px
-        self._slopes: FloatArray = np.empty(0)
-        self._votes: FloatArray = np.empty((0, 0, 4))
-
-    def until(self, count: int, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return log-odds (slopes, count) of the first rows being the pole's, and clutter."""
-        if len(slopes) != len(self._slopes):
-            self._slopes, self._votes = slopes, np.empty((len(slopes), 0, 4))
-        new = self._examined(self._votes.shape[1], count)
-        self._votes = np.concatenate([self._votes, new], axis=1)
-        odds = WEIGHTS[0] - _CAUTION + self._votes[..., :3] @ WEIGHTS[1:]
-        return np.clip(odds, -_CLEAR_ROW, _CLEAR_ROW), self._votes[..., 3]
-
-    def _examined(self, first: int, end: int) -> FloatArray:
-        """Return the votes (slopes, end - first, 4) of rows from ``first`` on."""
-        step = self._line_px[1] - self._line_px[0]
-        steps = step / np.hypot(*step) + self._slopes[:, None, None] * across(self._line_px)
-        points = self._line_px[1] + (np.arange(first, end) + 0.5)[:, None] * steps
-        shape = (len(self._slopes), end - first, 4)
-        votes = _row_votes(self._image.image, self._line_px, self._width_px, points.reshape(-1, 2))
-        return votes.reshape(shape)

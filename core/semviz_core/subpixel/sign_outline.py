@@ -18,7 +18,7 @@ from semviz_core.base.classes import TriangleCenter
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.jit import compiled
 from semviz_core.common.linalg import cholesky, solve_cholesky
-from semviz_core.subpixel.sampling import SampledImage, color_at
+from semviz_core.subpixel.sampling import SampledImage, Samples, color_at
 
 _CORNERS = {
     "triangle": [(0.0, -1.0), (1.0, 1.0), (-1.0, 1.0)],
@@ -282,11 +282,11 @@ def _sized(
     sides, each, _ = unit_points.shape
     points, normals = np.empty((sides * each, 2)), np.empty((sides * each, 2))
     for k in range(sides * each):
-        unit, normal = unit_points[k // each, k % each], unit_normals[k // each, k % each]
-        length = np.hypot(normal[0] / half[0], normal[1] / half[1])
+        side, at = k // each, k % each
+        length = np.hypot(unit_normals[side, at, 0] / half[0], unit_normals[side, at, 1] / half[1])
         for axis in range(2):
-            points[k, axis] = unit[axis] * half[axis]
-            normals[k, axis] = normal[axis] / half[axis] / length
+            points[k, axis] = unit_points[side, at, axis] * half[axis]
+            normals[k, axis] = unit_normals[side, at, axis] / half[axis] / length
     return points, normals
 
 
@@ -327,12 +327,32 @@ def _outside_borders(image: SampledImage, inner: Sequence[Outline]) -> list[Outl
         unit = _unit(outline.shape, 8)
         away = _border_px(image.image, *unit, outline.center_px, outline.half_px)
         if away > 0.0:
-            J = _jacobian(*_sized(*unit, outline.half_px), outline.half_px)
-            normal = J.T @ J + 1e-9 * np.eye(4)  # the fit of a very thin outline is singular
-            grown = np.linalg.solve(normal, away * J.sum(axis=0))
-            half = np.maximum(outline.half_px + grown[2:], 2.0)
-            starts.append(OutlineStart(outline.shape, outline.center_px + grown[:2], half, 1.25))
+            middle, half = _grown(*unit, outline.center_px, outline.half_px, away)
+            starts.append(OutlineStart(outline.shape, middle, half, 1.25))
     return starts
+
+
+@compiled
+def _grown(
+    unit_points: FloatArray,
+    unit_normals: FloatArray,
+    middle: FloatArray,
+    half: FloatArray,
+    away_px: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return centre and half size of an outline moved outwards on all sides."""
+    J = _jacobian(*_sized(unit_points, unit_normals, half), half)
+    normal, change = np.zeros((4, 4)), np.zeros(4)
+    for i in range(4):
+        normal[i, i] = 1e-9  # the fit of a very thin outline is singular
+    for k in range(len(J)):
+        for i in range(4):
+            change[i] += away_px * J[k, i]
+            for j in range(i + 1):
+                normal[i, j] += J[k, i] * J[k, j]
+    cholesky(normal, 4)
+    solve_cholesky(normal, change)
+    return middle + change[:2], np.maximum(half + change[2:], 2.0)
 
 
 @compiled
@@ -348,9 +368,10 @@ def _border_px(
     most = min(max(0.7 * min(half[0], half[1]), 3.0), 14.0)
     reach = np.arange(0.0, most + 1.5, 0.5)
     sides, each, _ = unit_points.shape
-    votes = np.zeros((sides, len(reach)))
+    votes, slope = np.zeros((sides, len(reach))), np.zeros(len(reach))
+    colors = np.empty((len(reach), 3), np.float32)
     for k in range(len(points)):
-        slope = _slopes(image, middle, points[k], normals[k], reach)
+        _slopes(image, middle, points, normals, k, reach, colors, slope)
         for step in range(len(reach)):
             votes[k // each, step] += slope[step] ** 2 / (slope[step] ** 2 + _EDGE**2) / each
     best, away = 0.0, 0.0
@@ -363,14 +384,20 @@ def _border_px(
 
 @compiled
 def _slopes(
-    image: ByteImage, middle: FloatArray, point: FloatArray, normal: FloatArray, reach: FloatArray
-) -> FloatArray:
-    """Return (m,) changes of colour over two steps at distances (m,) along a point's normal."""
-    colors, slope = np.empty((len(reach), 3), np.float32), np.zeros(len(reach))
+    image: ByteImage,
+    middle: FloatArray,
+    points: FloatArray,
+    normals: FloatArray,
+    which: int,
+    reach: FloatArray,
+    colors: Samples,
+    slope: FloatArray,
+) -> None:
+    """Fill ``slope`` (m,) with changes of colour over two steps at distances (m,) along the normal
+    of one of the points; ``colors`` (m, 3) is scratch space. Neither end has a slope."""
+    u, v = middle[0] + points[which, 0], middle[1] + points[which, 1]
     for k in range(len(reach)):
-        u = middle[0] + point[0] + reach[k] * normal[0]
-        v = middle[1] + point[1] + reach[k] * normal[1]
-        color = color_at(image, u, v)
+        color = color_at(image, u + reach[k] * normals[which, 0], v + reach[k] * normals[which, 1])
         for channel in range(3):
             colors[k, channel] = color[channel]
     for k in range(1, len(reach) - 1):
@@ -378,7 +405,6 @@ def _slopes(
         for channel in range(3):
             square += (colors[k + 1, channel] - colors[k - 1, channel]) ** 2
         slope[k] = np.sqrt(square / 3.0)
-    return slope
 
 
 _STEPS = np.arange(-6.0, 7.0)
@@ -396,8 +422,9 @@ def _edges(
     """Return the offset (n,) in px and weight (0 to 1) of the strongest edge along each normal."""
     reach = _STEPS * (search_px / 5.0)
     off, weight = np.empty(len(points)), np.empty(len(points))
+    colors, slope = np.empty((len(reach), 3), np.float32), np.zeros(len(reach))
     for k in range(len(points)):
-        slope = _slopes(image, middle, points[k], normals[k], reach)
+        _slopes(image, middle, points, normals, k, reach, colors, slope)
         at, best = 1, 0.0  # neither end has a slope
         for j in range(1, len(reach) - 1):
             if slope[j] * _SHARPNESS[j] > best:
@@ -416,7 +443,7 @@ def _edges(
 @compiled
 def _solve(J: FloatArray, off: FloatArray, weight: FloatArray, scale_px: float) -> FloatArray:
     """Return the shift of the centre and growth of the half size (4,); robust to outliers."""
-    robust = weight
+    robust = weight.copy()
     for _ in range(3):
         normal, solution = np.zeros((4, 4)), np.zeros(4)
         for i in range(4):
@@ -424,11 +451,10 @@ def _solve(J: FloatArray, off: FloatArray, weight: FloatArray, scale_px: float) 
         for k in range(len(J)):
             for i in range(4):
                 solution[i] += robust[k] * J[k, i] * off[k]
-                for j in range(4):
+                for j in range(i + 1):  # only the lower triangle is read
                     normal[i, j] += robust[k] * J[k, i] * J[k, j]
         cholesky(normal, 4)
         solve_cholesky(normal, solution)
-        robust = np.empty(len(J))
         for k in range(len(J)):
             left = off[k]
             for i in range(4):

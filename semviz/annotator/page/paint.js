@@ -72,7 +72,7 @@ export class Painter {
     const { score, runner_up } = mark;
     this.#proposed(proposal.class_id, mark, { selected: selected || reviewed, dash: proposal.is_confident ? [5, 4] : [1.5, 4] });
     const name = proposal.track ? `${proposal.name} · ${counted(proposal.track.frames, "frame")}` : proposal.name;
-    const sure = proposal.track ? proposal.track.existence : score === null ? "" : shownScore(score);
+    const sure = proposal.track ? proposal.track.doubt || "sure" : score === null ? "" : shownScore(score);
     const parts = [name, sure, current ? this.shownKey("Space") : ""];
     const text = current ? parts.filter(Boolean).join(" · ") : name;
     this.#label(text, this.view.toScreen(mark.anchor), selected || current ? 3 : reviewed ? 2.5 : proposal.is_confident ? 1 : 0, mark.end);

@@ -16,7 +16,7 @@ import { hints } from "./hints.js";
 import { Jumps } from "./jumps.js";
 import { Strip } from "./strip.js";
 import { TopBar } from "./topbar.js";
-import { SIDES, counted, shownScore } from "./values.js";
+import { LOOK_FIRST, SIDES, counted, shownScore } from "./values.js";
 import { QuestionBar } from "./questions.js";
 import { RenderCache, badge, capital, header, row } from "./widgets.js";
 
@@ -280,12 +280,12 @@ const trackedIn = ({ first, last }) => (first === last ? `track in frame ${first
  */
 const depthOrOrigin = ({ depth_m, origin, track }) => (track ? counted(track.frames, "frame") : depth_m !== null ? `${depth_m.toFixed(0)} m` : origin === "map" ? "far" : origin);
 
-/** The score of a proposal, marked as weak if it is not confident; of a track, only whether it is doubtful.
+/** The score of a proposal, marked as weak if it is not confident; of a track, why to look at it first.
  *
  * @param {Proposal} proposal
  */
 function scoreBar({ score, is_confident: isConfident, track }) {
-  if (track) return isConfident ? null : el("span", { class: "faint", text: "doubtful" });
+  if (track) return track.doubt ? el("span", { class: "warning", text: track.doubt, title: LOOK_FIRST }) : null;
   if (score === null) return el("span", { class: "faint", text: "searching …" });
   const bar = svg("svg", { class: isConfident ? "score" : "score weak", viewBox: "0 0 40 6", preserveAspectRatio: "none" },
     svg("rect", { class: "track", width: 40, height: 6 }), svg("rect", { class: "done", width: 40 * score, height: 6 }));
@@ -331,14 +331,15 @@ function number(name, value, unit, decimals, sigma = null) {
       sigma !== null ? el("span", { class: "dim", text: ` ± ${fixed(sigma, sigma < 0.1 ? 2 : 1)}` }) : null));
 }
 
-/** How well a track fits; null for what is no track.
+/** How sure a track is, and how well it fits; null for what is no track.
  *
  * @param {Proposal | annotator.NearbyView | null} candidate
  */
 function aboutTrack(candidate) {
   if (!candidate || !("track" in candidate) || !candidate.track) return null;
-  const { residual_px: residual, existence } = candidate.track;
-  return el("p", { class: "about-card dim", text: `Residual ${residual.toFixed(1)} px, existence ${existence}` });
+  const { residual_px: residual, existence, doubt } = candidate.track;
+  const sure = doubt ? el("span", { class: "warning", text: `Look first: ${doubt}`, title: LOOK_FIRST }) : "Sure";
+  return el("p", { class: "about-card dim" }, sure, `. Residual ${residual.toFixed(1)} px, existence ${existence}`);
 }
 
 /** @param {annotator.Card | null} card */

@@ -166,7 +166,9 @@ export class TrackActions {
     });
   }
 
+  /** Flags the chosen element; of tracks of detections, rejects all that the filter leaves. */
   toggleUnsure() {
+    if ((this.tracks.row?.number ?? 0) < 0) return this.rejectTracks();
     const row = this.#element();
     if (!row) return;
     const flags = row.notes.filter(({ unsure, text }) => unsure && !text);
@@ -242,18 +244,40 @@ export class TrackActions {
 
   /** Accepts the sure ones of the tracks of detections that the filter leaves, in the range. */
   #acceptSureTracks() {
-    const { table, shown, range, places, page } = this.tracks;
-    const [first, last] = range ?? [0, places - 1];
-    const open = shown.filter((row) => row.number < 0 && table.isIn(row, first, last));
-    const sure = open.filter((row) => row.sure);
+    const { page } = this.tracks;
+    const open = this.#openTracks();
+    const sure = open.filter((row) => !row.doubt);
     if (!sure.length) {
       page.notify(`None of ${counted(open.length, "open track")} here is sure; accept them one by one.`, "wrong");
       return;
     }
     this.#preview({
-      text: `Accept ${counted(sure.length, "sure track")}${open.length > sure.length ? `, ${open.length - sure.length} doubtful stay` : ""}.`,
+      text: `Accept ${counted(sure.length, "sure track")}${open.length > sure.length ? `, ${open.length - sure.length} to look at first stay` : ""}.`,
       apply: "Accept",
       edit: { kind: "accept tracks", track_ids: sure.map(({ id }) => id), corrections: [] },
+      frames: new Set(),
+    });
+  }
+
+  /** The tracks of detections that the filter leaves, in the range. */
+  #openTracks() {
+    const { table, shown, range, places } = this.tracks;
+    const [first, last] = range ?? [0, places - 1];
+    return shown.filter((row) => row.number < 0 && table.isIn(row, first, last));
+  }
+
+  /** Rejects all tracks of detections that the filter leaves, in the range. */
+  rejectTracks() {
+    const { filterText, range, page } = this.tracks;
+    const open = this.#openTracks();
+    if (!filterText && !range) {
+      page.notify(`This would reject all ${counted(open.length, "open track")}: filter first (/), or choose a range.`, "wrong");
+      return;
+    }
+    this.#preview({
+      text: `Reject ${counted(open.length, "track")}: no map will have ${open.length === 1 ? "it" : "them"}.`,
+      apply: "Reject",
+      edit: { kind: "reject tracks", track_ids: open.map(({ id }) => id) },
       frames: new Set(),
     });
   }

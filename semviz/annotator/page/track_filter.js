@@ -15,6 +15,7 @@ export const FLAGS = {
   gaps: (row, table, [first, last]) => table.gaps(row).some((place) => place >= first && place <= last),
   proposed: (row, table) => table.proposed(row) > 0,
   open: (row) => row.number < 0,
+  "look-first": (row) => row.doubt !== "",
   "left-out": (row) => row.left_out,
 };
 

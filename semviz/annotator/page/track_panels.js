@@ -8,10 +8,10 @@ import { Surface, cssColor } from "/static/canvas.js";
 import { byId, el } from "/static/dom.js";
 import { classGlyph, residualColor } from "/static/glyphs.js";
 import { noHit, classWord } from "./track_filter.js";
-import { counted, spaced } from "./values.js";
+import { LOOK_FIRST, counted, spaced } from "./values.js";
 import { RenderCache, badge } from "./widgets.js";
 
-const CHIPS = [["residual>2", "Over 2 px"], ["gaps", "Gaps"], ["proposed", "Proposed"], ["score<0.8", "Score under 0.8"], ["unsure", "Unsure"], ["noted", "Notes"]];
+const CHIPS = [["residual>2", "Over 2 px"], ["gaps", "Gaps"], ["proposed", "Proposed"], ["look-first", "Look first"], ["unsure", "Unsure"], ["noted", "Notes"]];
 const PLOT_PX = [0, 3, 5]; // lines of the plot
 
 export class TrackPanels {
@@ -104,7 +104,7 @@ export class TrackPanels {
       "residual>2": rows.filter(({ worst_px: px }) => (px ?? 0) > 2).length,
       gaps: rows.filter((row) => table.gaps(row).length).length,
       proposed: rows.filter((row) => table.proposed(row)).length,
-      "score<0.8": rows.filter(({ score }) => score !== null && score < 0.8).length,
+      "look-first": rows.filter(({ doubt }) => doubt).length,
       unsure: rows.filter((row) => row.notes.some(({ unsure }) => unsure)).length,
       noted: rows.filter((row) => row.notes.some(({ text }) => text)).length,
     });
@@ -163,12 +163,13 @@ export class TrackPanels {
   /** @param {Row} row */
   #openTrack(row) {
     const { actions, keys } = this.tracks;
-    const score = row.score === null ? "unknown" : `${(100 * row.score).toFixed(1)} %`;
     return [
-      el("p", { class: "track-text", text: `A track of detections. It exists: ${score}; residual ${row.worst_px?.toFixed(1)} px. ${row.sure ? "It is sure." : "It wants a look."}` }),
+      el("p", { class: "track-text", title: row.doubt ? LOOK_FIRST : "" }, "A track of detections. ",
+        row.doubt ? el("span", { class: "warning", text: `Look first: ${row.doubt}.` }) : "It is sure."),
       action("Accept the track", counted(row.views, "label"), [badge(keys, "Space")], () => actions.acceptCell()),
       action("Reject the track", "no map has it", [badge(keys, "X")], () => actions.rejectCell()),
       action("Accept all sure ones", "that the filter leaves", [badge(keys, "Shift Space")], () => actions.acceptSure()),
+      action("Reject all", "that the filter leaves", [badge(keys, "Shift X")], () => actions.rejectTracks()),
     ];
   }
 

@@ -335,7 +335,7 @@ export class Tracks {
       own("b", "Verify, from the nearest view backwards", () => this.views.verify(), { shift, words: "check seen" }),
       own("u", "Split here: from this frame on another element", () => actions.split(), { shift, words: "unlink" }),
       own("p", "Merge with the nearest element", () => actions.merge(), { shift, words: "link" }),
-      own("x", "Unsure: asks a second person", () => actions.toggleUnsure(), { shift, words: "flag doubt" }),
+      own("x", "Unsure: asks a second person; of tracks of a detector: reject all that the filter leaves", () => actions.toggleUnsure(), { shift, words: "flag doubt" }),
       own("n", "Note on the element", () => this.panels.startNote(), { words: "comment" }),
       own(" ", "Accept all sure ones in the range", () => actions.acceptSure(), { shift }),
       ...this.state.workspace.classes.filter(({ key }) => key).map(({ id, name, key }) =>

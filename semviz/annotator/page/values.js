@@ -81,3 +81,6 @@ export const counted = (number, noun) => `${number} ${noun}${number === 1 ? "" :
  * @param {number} score
  */
 export const shownScore = (score) => (Math.floor(100 * score) / 100).toFixed(2);
+
+/** What makes a track of detections sure, as a tooltip of why one is not. */
+export const LOOK_FIRST = "Look at it before you accept it. A sure track is detected in 3 frames or more, exists with more than 99.9 %, and lies within 2 px (rms) of its detections.";

@@ -1231,7 +1231,7 @@ export interface TrackRow {
   views: number;
   worst_px: number | null;
   score: number | null;
-  sure: boolean;
+  doubt: string;
   left_out: boolean;
   notes: Array<NoteView>;
   attributes: Record<string, string>;
@@ -1251,6 +1251,7 @@ export interface TrackView {
   last: number;
   residual_px: number;
   existence: string;
+  doubt: string;
 }
 
 /** Rows of elements and open tracks, and what is expected in frames; added to those before. */
