@@ -28,8 +28,9 @@ from semviz_core.base.semantic_map import (
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
 
-SAME_M, SAME_SIGMAS = (0.5, 1.5), 3.0
-"""Candidates of two passes are one within so many sigmas, from 0.5 to 1.5 m."""
+SAME_M = 1.5
+"""Candidates of one class are one up to this distance: the poses of two passes differ by up to a
+metre where few elements are seen, and their covariances do not tell."""
 _LEAST_POSE_SIGMA_M = 0.05
 NO_ELEMENTS = Elements3D.from_ends([], [], [], [])
 
@@ -119,12 +120,10 @@ class _Clusters:
                 self._found[near] = one
 
     def _nearest(self, one: _Cluster) -> int | None:
-        nearest, least_m = None, np.inf
+        nearest, least_m = None, SAME_M
         for number, other in enumerate(self._found):
             away_m = float(np.linalg.norm(one.place_m - other.place_m))
-            sigma_m = np.sqrt(one.variance_m2 + other.variance_m2)
-            same_class = one.best.class_id[0] == other.best.class_id[0]
-            if same_class and away_m < min(least_m, float(np.clip(SAME_SIGMAS * sigma_m, *SAME_M))):
+            if one.best.class_id[0] == other.best.class_id[0] and away_m < least_m:
                 nearest, least_m = number, away_m
         return nearest
 
