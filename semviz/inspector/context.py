@@ -249,7 +249,7 @@ class PageContext:
         return self.library.cached(self.state.run, make)
 
     def open(self, name: str, frame: int | None) -> None:
-        """Show another run at the frame with number ``frame``, or at its first frame."""
+        """Show another run at the frame with number ``frame``, or at its worst frame."""
         run = self.library.run(name)
         self.state = self.state.opened(name, run, frame)
         self._run = run

@@ -27,7 +27,7 @@ Point = tuple[float, float, float]
 
 
 class OpenRunRequest(Request):
-    """Show a run at the frame with this number. Default: the first run, its first frame."""
+    """Show a run at the frame with this number. Default: the first run, its worst frame."""
 
     type: Literal["open_run"] = "open_run"
     run: str | None = None

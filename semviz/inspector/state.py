@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from semviz.runs.run import Run
+from semviz.runs.story import worst_position
 from semviz.web.protocol import RefusedError
 from semviz.web.shapes import Theme
 from semviz_core.base.frame import Side
@@ -53,11 +54,11 @@ class State:
     """Whether the images before and after are shown."""
 
     def opened(self, name: str, run: Run, frame: int | None) -> "State":
-        """Open a run at the frame with number ``frame``, or else at its first frame."""
+        """Open a run at the frame with number ``frame``, or else at its worst frame."""
         numbers = [record.frame.index for record in run.frames]
         if not numbers:
             raise SemvizError(f"{name} has no frames; localize again")
-        position = numbers.index(frame) if frame in numbers else 0
+        position = numbers.index(frame) if frame in numbers else worst_position(run)
         side = self.side if run.info.rig.right is not None else "left"
         state = replace(self, run=name, position=position, selection=Selection(), side=side)
         return state.with_base("", False) if name == self.base else state

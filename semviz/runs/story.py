@@ -155,6 +155,20 @@ def _is_wrong(record: FrameRecord) -> bool:
     return record.localization.status != "ok"
 
 
+def worst_position(run: Run) -> int:
+    """Return the position of the worst frame: a sure and wrong pose, another wrong one, the larger
+    error first, then no pose; without such a frame the first."""
+
+    def badness(record: FrameRecord) -> tuple[bool, float]:
+        errors = errors_of(record)
+        if errors is None:
+            return False, 0.0
+        return record.localization.status == "ok", errors.distance_m
+
+    wrong = [position for position, record in enumerate(run.frames) if _is_wrong(record)]
+    return max(wrong, key=lambda position: badness(run.frames[position]), default=0)
+
+
 def _causes(run: Run, diagnosis: RunDiagnosis | None, is_wrong: BoolArray) -> tuple[Cause, ...]:
     """Give every wrong frame to one cause: that of the run which explains most, or its own."""
     names = {

@@ -15,10 +15,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from inspector_page import in_url, open_flat, wait_for
 from serving import at
-from small_runs import off_by, run_with_a_moved_pole, saved, small_run, spoiled, unanswered
+from small_runs import (
+    Spoil,
+    ambiguous,
+    off_by,
+    run_with_a_moved_pole,
+    saved,
+    small_run,
+    spoiled,
+    unanswered,
+)
 
 from semviz.inspector.context import RunLibrary
 from semviz.inspector.server import Inspector
+from semviz.inspector.state import State
 from semviz.inspector.story import story_view
 from semviz.inspector.views import run_view
 from semviz.runs import diagnosis
@@ -30,7 +40,7 @@ from semviz.runs.diagnosis import (
 )
 from semviz.runs.reader import assemble, load_run, read_rows
 from semviz.runs.run import DIAGNOSIS, FrameRecord, Run
-from semviz.runs.story import frames_text, stretches, tell
+from semviz.runs.story import frames_text, stretches, tell, worst_position
 from semviz.web.gateway import Gateway
 from semviz_core.diagnosis.fault import RunFault
 from semviz_core.diagnosis.run import RunDiagnosis
@@ -49,6 +59,15 @@ def test_a_run_without_failures_says_that_all_frames_are_right() -> None:
     assert story.headline == "6 of 6 frames are within 1 m."
     assert story.causes == ()
     assert story.detail == ""
+
+
+def test_the_worst_frame_is_sure_and_wrong_then_wrong_then_without_a_pose() -> None:
+    wrong: dict[int, Spoil] = {14: off_by(9.0), 16: off_by(2.0), 18: off_by(3.0)}
+    unsure = {14: lambda record: ambiguous(wrong[14](record))}  # frame 10 is the first
+    cases = [{}, {14: unanswered}, {12: unanswered} | wrong, wrong | unsure]
+    assert [worst_position(spoiled(small_run(), spoils)) for spoils in cases] == [0, 2, 2, 4]
+    assert State().opened("lost", lost_run(), None).position == 4
+    assert State().opened("lost", lost_run(), 12).position == 1
 
 
 def test_every_wrong_frame_belongs_to_one_cause_and_the_largest_comes_first() -> None:

@@ -195,7 +195,7 @@ export class Page {
 
   /**
    * @param {string | null} run null for the first one
-   * @param {number | null} frame its number; null for the first one
+   * @param {number | null} frame its number; null for the worst one
    */
   open(run, frame) {
     this.socket.send("open_run", { run, frame, theme: currentTheme() });
