@@ -12,6 +12,7 @@ from typing import TypeVar
 
 from aiohttp import web
 
+from semviz.annotator.blind_shares import BlindShares
 from semviz.annotator.drive_requests import PoseUndo
 from semviz.annotator.page_session import HANDLERS, AnnotatorPage
 from semviz.annotator.people_view import PersonView, people_views
@@ -19,6 +20,7 @@ from semviz.annotator.pose_views import PoseWork
 from semviz.annotator.session import LabelSession
 from semviz.annotator.track_rows import TrackRow
 from semviz.annotator.views import FrameSummary
+from semviz.web.protocol import RefusedError
 from semviz.web.sessions import Send, Sessions
 from semviz.web.viser_servers import ViserServers
 from semviz.workspace.people import People, Role
@@ -63,6 +65,9 @@ class Annotator:
         self._pages: list[AnnotatorPage] = []
         self._closing = threading.Event()
         self.people = People(workspace.path)
+        self.shares = BlindShares(
+            workspace, lambda: self.session.team.store, tuple(self.session.frames)
+        )
         self.updates_queued = threading.Event()
         self._flushed = -BUSY_S
         """When updates by the edits of others were sent last."""
@@ -105,6 +110,13 @@ class Annotator:
     def people_changed(self) -> None:
         self._people_changed.set()
 
+    def blind_address(self, name: str) -> str:
+        """Return where a person labels blind. Raise RefusedError: not within another tool."""
+        raise RefusedError("not_found", "label these frames in 'semviz annotate'")
+
+    def shares_changed(self) -> None:
+        """Let the annotators of those who label blind follow the shares."""
+
     def close(self) -> None:
         """Stop the threads and close the label file."""
         self._closing.set()
@@ -116,6 +128,7 @@ class Annotator:
         self.scene_thread.shutdown(wait=True, cancel_futures=True)
         self.scenes.close_all()  # one may have been opened after its page had gone
         self.search_thread.shutdown(wait=True)  # its last task may be to close a session
+        self.shares.close()
         self.session.close()
 
     def use_chosen_poses(self) -> None:
@@ -127,6 +140,7 @@ class Annotator:
             old = self.session
             self.session = LabelSession(Workspace.open(old.workspace.path), old.author)
             self.session.map_work.refresh()
+            self.shares.follow()
             for page in self.pages:
                 page.restart()
         self.search_thread.submit(old.close)  # after the searches that use it

@@ -10,7 +10,7 @@ from pydantic import Field
 from semviz.annotator.frame_quality import FrameQuality
 from semviz.annotator.track_rows import NoteView, note_view
 from semviz.annotator.views import label_element_name
-from semviz.web.protocol import Event, Part, Request
+from semviz.web.protocol import Part, Request
 from semviz.workspace.people import Person
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.rows import REVIEWED
@@ -90,13 +90,6 @@ class AssignFramesRequest(Request):
     frames: tuple[AssignedFrame, AssignedFrame] | None
 
 
-class TeamEvent(Event):
-    """The work of all."""
-
-    type: Literal["team"] = "team"
-    team: TeamView
-
-
 @dataclass(frozen=True, eq=False)
 class TeamWork:
     """Reads the work of all from the labels and their log. One thread at a time."""
@@ -109,7 +102,7 @@ class TeamWork:
     def view(self, people: Mapping[str, Person], owner: str) -> TeamView:
         """Return the work of who was invited, of the owner, and of all who labelled."""
         labels = self.store.labels
-        writers, tallies, assigned = self.store.teamwork()
+        writers, tallies, assigned, _ = self.store.teamwork()
         names = sorted({*people, owner, *tallies, *assigned})
         recent = (datetime.now(UTC) - timedelta(hours=PACE_HOURS)).isoformat()
         team = []
@@ -187,5 +180,5 @@ class TeamWork:
 def _state(index: int, writer: Writer, labels: Labels) -> QueueState | None:
     """Return where a frame stands; None if it is in work and was not sent back."""
     if labels.review(index) in REVIEWED:
-        return "accepted" if writer.kind == "accept frame" else "waiting"
+        return "accepted" if writer.kind in ("accept frame", "merge frame") else "waiting"
     return "sent back" if writer.kind == "send back" else None
