@@ -5,12 +5,18 @@ own file takes no labels of these frames until they are merged. A frame that bot
 compared, and no longer changes in their files.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from semviz.workspace.blind import blind_workspace
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.labels.agreement import Agreement, ElementPair, agreement_in, pairs_in
+from semviz_annotation.labels.agreement import (
+    Agreement,
+    ElementPair,
+    agreement_in,
+    changed_in,
+    pairs_in,
+)
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.rows import REVIEWED
 from semviz_annotation.storage.closed_frames import WhyClosed
@@ -37,6 +43,18 @@ class ShareProgress:
     merged: frozenset[int]
 
 
+@dataclass(frozen=True)
+class Compared:
+    """Two versions of a frame."""
+
+    people: tuple[str, str]
+    """Who labelled them; empty if there is one version only."""
+    times: tuple[str, str]
+    """When; empty of frames labelled blind."""
+    is_blind: bool
+    pairs: tuple[ElementPair, ...]
+
+
 class BlindShares:
     """The shares of a workspace. Thread-safe."""
 
@@ -54,7 +72,7 @@ class BlindShares:
     def follow(self) -> None:
         """Read the shares from the log again, and let the open label file follow them."""
         store = self._store()
-        shares = store.teamwork().shares
+        shares = store.team().shares
         for name in {name for share in shares for name in share.people} - {*self._readers}:
             self._readers[name] = blind_workspace(self._workspace, name).open_labels()
         self._shares = {frame: share for share in shares for frame in share.frames}
@@ -124,16 +142,26 @@ class BlindShares:
         """Return how two people agree, in the frames that both have reviewed."""
         return agreement_in(progress.both, *map(self.labels_of, progress.share.people))
 
-    def compared(self, frame_index: int) -> tuple[Share, list[ElementPair]]:
-        """Return what two people labelled in a frame, the farthest apart first.
+    def compared(self, frame_index: int) -> Compared:
+        """Return two versions of a frame, the elements that are farthest apart first.
 
-        Raise SemvizError unless both have reviewed it.
+        Raise SemvizError if it is labelled blind, and not reviewed by both.
         """
-        share = self._shares.get(frame_index)
-        if share is None or not self._both_reviewed(frame_index, share):
-            raise SemvizError(_not_compared(frame_index, share))
-        pairs = pairs_in(frame_index, *map(self.labels_of, share.people))
-        return share, sorted(pairs, key=_wants_a_look, reverse=True)
+        store = self._store()
+        labels, share = store.labels, self._shares.get(frame_index)
+        if share is not None and _is_untouched(frame_index, labels):
+            if not self._both_reviewed(frame_index, share):
+                raise SemvizError(_not_compared(frame_index, share))
+            pairs = pairs_in(frame_index, *map(self.labels_of, share.people))
+            return Compared(share.people, ("", ""), True, _by_need(pairs))
+        earlier = store.earlier_version(frame_index)
+        if earlier is None:
+            return Compared(("", ""), ("", ""), False, ())
+        writers = store.last_writers(row.id for row in labels.in_frame(frame_index))
+        last = max(writers.values(), default=earlier)
+        pairs = changed_in(frame_index, store.labels_at(earlier.number), labels)
+        people, times = (earlier.author, last.author), (earlier.time, last.time)
+        return Compared(people, times, False, _by_need(pairs))
 
     def labels_of(self, name: str) -> Labels:
         """Return what a person has labelled blind."""
@@ -180,6 +208,10 @@ def _is_reviewed(frame_index: int, labels: Labels) -> bool:
 
 def _is_untouched(frame_index: int, labels: Labels) -> bool:
     return frame_index not in labels.reviews and not labels.in_frame(frame_index)
+
+
+def _by_need(pairs: Iterable[ElementPair]) -> tuple[ElementPair, ...]:
+    return tuple(sorted(pairs, key=_wants_a_look, reverse=True))
 
 
 def _wants_a_look(pair: ElementPair) -> tuple[bool, bool, float]:

@@ -9,7 +9,6 @@ from semviz.annotator.team_view import AssignedFrame, TeamView
 from semviz.annotator.views import ObservationView, label_element_name, observation_view
 from semviz.web.protocol import Event, Part, Request
 from semviz_annotation.labels.agreement import Agreement, ElementPair, ViewPair, mean_label
-from semviz_annotation.storage.teamwork import Share
 from semviz_core.base.classes import ClassSet
 from semviz_core.base.frame import Side
 
@@ -105,7 +104,7 @@ class EndShareRequest(Request):
 
 
 class ShowComparedRequest(Request):
-    """Request what two people labelled in a frame."""
+    """Request two versions of a frame: of two people who labelled it blind, or earlier and now."""
 
     type: Literal["show_compared"] = "show_compared"
     frame: int
@@ -118,12 +117,18 @@ class OpenShareRequest(Request):
 
 
 class ComparedEvent(Event):
-    """What two people labelled in a frame, what needs a decision first."""
+    """Two versions of a frame, what differs most first."""
 
     type: Literal["compared"] = "compared"
     frame: int
     people: tuple[str, str]
+    """Who labelled them; empty if there is one version only."""
+    times: tuple[str, str]
+    """Of the earlier version, and of the present one; empty of frames labelled blind."""
+    is_blind: bool
+    """Whether it is to be merged."""
     elements: list[ComparedElement]
+    """Of an earlier version those that have changed since."""
 
 
 class ShareOpenedEvent(Event):
@@ -176,14 +181,27 @@ def agreement_view(agreement: Agreement) -> AgreementView:
 
 
 def compared_event(
-    share: Share, frame: int, pairs: list[ElementPair], classes: ClassSet, reply_to: str
+    shares: BlindShares, frame: int, classes: ClassSet, reply_to: str
 ) -> ComparedEvent:
-    """Return what two people labelled in a frame."""
-    elements = [_compared_element(pair, share, classes) for pair in pairs]
-    return ComparedEvent(reply_to=reply_to, frame=frame, people=share.people, elements=elements)
+    """Return what two people labelled blind in a frame, if it is labelled twice and not merged.
+
+    Else its version before the present one, and the present one.
+    """
+    found = shares.compared(frame)
+    people = found.people
+    return ComparedEvent(
+        reply_to=reply_to,
+        frame=frame,
+        people=people,
+        times=found.times,
+        is_blind=found.is_blind,
+        elements=[_compared_element(pair, people, classes) for pair in found.pairs],
+    )
 
 
-def _compared_element(pair: ElementPair, share: Share, classes: ClassSet) -> ComparedElement:
+def _compared_element(
+    pair: ElementPair, people: tuple[str, str], classes: ClassSet
+) -> ComparedElement:
     both = pair.first, pair.second
     element = pair.first or pair.second
     assert element is not None
@@ -194,7 +212,7 @@ def _compared_element(pair: ElementPair, share: Share, classes: ClassSet) -> Com
         names=(first, second),
         classes=(mine, theirs),
         views=[_compared_view(view, pair.same_class) for view in pair.views],
-        apart=_apart(pair, share),
+        apart=_apart(pair, people),
     )
 
 
@@ -214,15 +232,15 @@ def _compared_view(view: ViewPair, same_class: bool) -> ComparedView:
     )
 
 
-def _apart(pair: ElementPair, share: Share) -> str:
+def _apart(pair: ElementPair, people: tuple[str, str]) -> str:
     """Return what differs between two people's labels of one element."""
-    for element, name in zip((pair.first, pair.second), share.people, strict=True):
+    for element, name in zip((pair.first, pair.second), people, strict=True):
         if element is None:
             return f"{name} did not label it"
     if not pair.same_class:
         return "two classes"
     for view in pair.views:
-        for row, name in zip((view.first, view.second), share.people, strict=True):
+        for row, name in zip((view.first, view.second), people, strict=True):
             if row is None:
                 return f"{name} did not label it in the {view.side} image"
         if not view.same_ends:

@@ -18,7 +18,6 @@ REVIEWING = (
     AssignFramesRequest,
     blind_views.AssignShareRequest,
     blind_views.EndShareRequest,
-    blind_views.ShowComparedRequest,
 )
 """Requests that need the right to review, besides edits."""
 
@@ -27,7 +26,7 @@ def needs_review(request: protocol.Request) -> bool:
     """Return whether a request needs the right to review."""
     if isinstance(request, messages.ApplyEditRequest):
         return isinstance(request.edit, AcceptFrame | SendBackFrame | messages.MergeFrameEdit)
-    return isinstance(request, REVIEWING)
+    return isinstance(request, (*REVIEWING, blind_views.ShowComparedRequest))
 
 
 class TeamServices(PageServices, Protocol):
@@ -110,9 +109,8 @@ class TeamRequests:
     @protocol.handles(blind_views.ShowComparedRequest)
     def _show_compared(self, request: blind_views.ShowComparedRequest) -> None:
         with self._shared.lock:
-            share, pairs = self._shared.shares.compared(request.frame)
-            classes = self._shared.session.classes
-        self._send(blind_views.compared_event(share, request.frame, pairs, classes, request.id))
+            classes, shares = self._shared.session.classes, self._shared.shares
+            self._send(blind_views.compared_event(shares, request.frame, classes, request.id))
 
     @protocol.handles(blind_views.OpenShareRequest)
     def _open_share(self, request: blind_views.OpenShareRequest) -> None:

@@ -49,7 +49,7 @@ class BlindWorkspace(Workspace):
     def source(self) -> Dataset:
         whole = self.outer.source
         with self.outer.open_labels() as store:
-            shares = store.teamwork().shares
+            shares = store.team().shares
         wanted = {i for share in shares if self.person in share.people for i in share.frames}
         frames = tuple(frame for frame in whole.frames if frame.index in wanted) or whole.frames
         if isinstance(whole, FileDataset):

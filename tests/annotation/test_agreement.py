@@ -119,7 +119,9 @@ def test_pairs_are_one_to_one_and_the_same_whoever_is_first(
     assert all(pair.worst_px <= MATCH_PX for pair in here.both)
     itself = agreement_in([0], first, first)
     assert itself.missed == (0, 0)
-    assert itself.distances(True).sum() + itself.distances(False).sum() == pytest.approx(0, abs=1e-6)
+    assert itself.distances(True).sum() + itself.distances(False).sum() == pytest.approx(
+        0, abs=1e-6
+    )
 
 
 def test_planted_disagreements_are_each_counted_once() -> None:

@@ -1,4 +1,4 @@
-"""Frames that two people label blind: neither sees the other's labels, nothing is lost, the merge."""
+"""Frames that two people label blind: neither sees the other's labels, and nothing is lost."""
 
 import json
 import os
@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from annotator_page import Served
-from echo_tool import connected
 from journeys.driver import EMPTY_PAGE, LabelDriver
 from streets import street_workspace
 
@@ -25,7 +23,12 @@ from semviz.web.protocol import RefusedError
 from semviz.workspace.blind import blind_workspace
 from semviz.workspace.people import People
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.labels.edits import AddObservation, ReviewFrame
+from semviz_annotation.labels.edits import (
+    AddObservation,
+    MoveObservation,
+    ReviewFrame,
+    SendBackFrame,
+)
 from semviz_annotation.labels.labels import Labels, new_id
 from semviz_annotation.storage.integrity import check_labels
 from semviz_annotation.storage.store import LabelStore
@@ -132,9 +135,9 @@ def test_nobody_labels_such_a_frame_in_the_common_file_until_it_is_merged(
     with pytest.raises(SemvizError, match="not both reviewed"):
         shares.compared(2)
     labelled_blind(workspace, "jon", {2: [102.0]})
-    share, pairs = shares.compared(2)
-    assert share.people == ("mara", "jon")
-    assert [pair.worst_px for pair in pairs] == pytest.approx([0.0, 2.0])
+    found = shares.compared(2)
+    assert (found.people, found.is_blind) == (("mara", "jon"), True)
+    assert [pair.worst_px for pair in found.pairs] == pytest.approx([0.0, 2.0])
     merge(annotator, 2, [101.0, 300.0])
     assert signs_of(store.labels, 2) == [101.0, 300.0]
     assert store.labels.review(2) == "reviewed"
@@ -205,7 +208,8 @@ from semviz_annotation.labels.labels import new_id
 workspace = Workspace.open(sys.argv[1])
 with blind_workspace(workspace, "mara").open_labels() as store:
     for number in range(10_000):
-        edit = AddObservation(new_id(), new_id(), 0, "left", (1.0 + number / 10, 40.0), None, True, False, 3)
+        place = (1.0 + number / 10, 40.0)
+        edit = AddObservation(new_id(), new_id(), 0, "left", place, None, True, False, 3)
         store.apply(edit, "mara")
         print(edit.observation_id, flush=True)
 """
@@ -227,3 +231,107 @@ def test_killed_while_somebody_labels_blind_every_acknowledged_label_is_there(
     assert acknowledged
     assert set(acknowledged) <= set(annotator.shares.labels_of("mara").observations)
     check_labels(workspace.path / "blind" / "mara" / "labels.db")
+
+
+@pytest.fixture
+def pages(
+    annotator: TeamAnnotator, workspace: Workspace, chromium: "Browser"
+) -> Iterator[dict[str, "Page"]]:
+    """The pages of who started the server, and of mara who labels."""
+    people, opened = People(workspace.path), {}
+    people.invite("jon", "annotate")
+    with Gateway(annotator, guests=annotator.people.names_by_digest).running() as url:
+        token = people.invite("mara", "annotate")
+        for name, address in (("eva", url), ("mara", f"{url.split('?')[0]}?token={token}")):
+            page = chromium.new_context(viewport={"width": 1280, "height": 720}).new_page()
+            page.route("**/view/**", lambda route: route.fulfill(body=EMPTY_PAGE))
+            LabelDriver(page).open(address)
+            opened[name] = page
+        yield opened
+        for page in opened.values():
+            page.context.close()
+
+
+def settled(page: "Page") -> None:
+    page.wait_for_function("() => !semviz.state.pending.length", timeout=WAIT_MS)
+
+
+@pytest.mark.browser
+def test_the_owner_assigns_a_share_two_label_it_and_the_owner_merges(
+    pages: dict[str, "Page"], annotator: TeamAnnotator, workspace: Workspace
+) -> None:
+    eva, mara = pages["eva"], pages["mara"]
+    eva.keyboard.press("F8")
+    eva.wait_for_selector("#twice-second option[value=mara]", state="attached")
+    eva.keyboard.press("Shift+T")
+    eva.keyboard.type("1-2")
+    eva.fill("#twice-percent", "100")
+    eva.select_option("#twice-first", "mara")
+    eva.select_option("#twice-second", "jon")
+    eva.click("#team-twice button")
+    eva.wait_for_function("() => semviz.team.shares.known.length === 1", timeout=WAIT_MS)
+    # mara labels her frames, where nobody else may enter
+    mara.keyboard.press("F8")
+    mara.click("#team-chips button:has-text('Twice')")
+    mara.click("button:has-text('Label mine')")
+    mara.wait_for_url("**/blind/1/**")
+    mara.wait_for_function("() => window.semviz?.state.isReady", timeout=WAIT_MS)
+    assert mara.locator("#tab-team").is_hidden()
+    assert mara.locator("#blind").is_visible()
+    assert mara.evaluate("semviz.state.order") == [1, 2]
+    for u in (100, 300):
+        mara.evaluate(DRAW, [1, u, new_id(), new_id()])
+    settled(mara)
+    mara.evaluate("semviz.submit({ kind: 'review', frame_index: 1, state: 'reviewed' })")
+    settled(mara)
+    refused = eva.evaluate("fetch('/blind/1/').then((answer) => answer.status)")
+    assert refused == 403
+    assert not annotator.session.labels.observations
+    labelled_blind(workspace, "jon", {1: [104.0, 500.0]})
+    # eva compares: two of one sign, and one of each alone
+    eva.evaluate("semviz.team.entered()")
+    eva.wait_for_function("() => semviz.team.shares.ready.length === 1", timeout=WAIT_MS)
+    eva.keyboard.press("Shift+J")
+    eva.wait_for_function(
+        "() => semviz.team.compared.shown?.elements.length === 3", timeout=WAIT_MS
+    )
+    eva.keyboard.press("Enter")
+    assert "3 elements wait" in eva.inner_text("#message")
+    assert len(eva.query_selector_all("#compared-elements .compared-element")) == 3
+    for name in ("mara did not label it", "jon did not label it", "4.0 px apart"):
+        eva.click(f"#compared-elements button:has-text('{name}')")
+        eva.keyboard.press({"m": "Shift+Y", "j": "x", "4": "m"}[name[0]])
+    eva.keyboard.press("Enter")
+    settled(eva)
+    eva.wait_for_function("() => !semviz.team.compared.shown?.is_blind", timeout=WAIT_MS)
+    labels = annotator.session.labels
+    assert signs_of(labels, 1) == pytest.approx([102.0, 500.0])
+    assert labels.review(1) == "reviewed"
+    assert signs_of(annotator.shares.labels_of("mara"), 1) == [100.0, 300.0]
+    check_labels(workspace.labels_path)
+
+
+DRAW = """([frame, u, observation, element]) => semviz.submit({
+  kind: 'draw', observation_id: observation, element_id: element, frame_index: frame,
+  side: 'left', anchor_px: [u, 40], end_px: null, end_known: false, class_id: 3 })"""
+
+
+@pytest.mark.browser
+def test_two_versions_of_a_frame_stand_side_by_side(
+    pages: dict[str, "Page"], annotator: TeamAnnotator
+) -> None:
+    eva, store = pages["eva"], annotator.session.team.store
+    draw(store, 0, 100.0)
+    (row,) = store.labels.in_frame(0)
+    store.apply(ReviewFrame(0, "reviewed"), "mara")
+    store.apply(SendBackFrame(0), "eva")
+    eva.keyboard.press("F8")
+    eva.evaluate("semviz.go(0)")
+    eva.keyboard.press("v")
+    eva.wait_for_selector("#compared-names:has-text('Nothing in this frame differs')")
+    store.apply(MoveObservation(row.id, (110.0, 40.0), None), "mara")
+    eva.wait_for_selector("#compared-elements .compared-element", timeout=WAIT_MS)
+    assert "10.0 px apart" in eva.inner_text("#compared-elements")
+    assert eva.inner_text("#compared-names").startswith("eva")
+    eva.keyboard.press("v")
+    assert eva.locator("#compared").is_hidden()

@@ -93,6 +93,21 @@ def pairs_in(frame_index: int, first: Labels, second: Labels) -> list[ElementPai
     return [*pairs, *(_pair(None, element, rows, others) for element in alone)]
 
 
+def changed_in(frame_index: int, before: Labels, now: Labels) -> list[ElementPair]:
+    """Return the elements of a frame that differ between two states of one log."""
+    rows, others = _by_element(frame_index, before), _by_element(frame_index, now)
+    return [
+        _pair(
+            before.element(id_) if id_ in rows else None,
+            now.element(id_) if id_ in others else None,
+            rows,
+            others,
+        )
+        for id_ in dict.fromkeys([*rows, *others])
+        if rows.get(id_) != others.get(id_) or before.element(id_) != now.element(id_)
+    ]
+
+
 _Rows = dict[str, dict[Side, Observation]]
 
 

@@ -17,7 +17,7 @@ from semviz_annotation.labels import rows
 from semviz_annotation.labels.edits import AnyEdit
 from semviz_annotation.labels.labels import Draft, Labels
 from semviz_annotation.labels.own_classes import check_classes
-from semviz_annotation.storage import closed_frames, placement, tables
+from semviz_annotation.storage import closed_frames, placement, tables, teamwork
 from semviz_annotation.storage.conflicts import ConflictChecker
 from semviz_annotation.storage.declarations import free_class_id
 from semviz_annotation.storage.label_file import BackgroundCheck, Health, LabelFile, LabelFileError
@@ -32,7 +32,6 @@ from semviz_annotation.storage.operations import (
     Writer,
     sealed,
 )
-from semviz_annotation.storage.teamwork import Statement, Teamwork, read_teamwork
 from semviz_core.base.camera import Rig
 from semviz_core.base.classes import (
     NEW_CENTER,
@@ -196,10 +195,15 @@ class LabelStore:
         with self._file.reading():
             return placement.placing_operations(self._file.connection, observation_ids)
 
-    def teamwork(self) -> Teamwork:
+    def team(self) -> teamwork.Teamwork:
         """Return what the log tells about the people who label."""
         with self._file.reading():
-            return read_teamwork(self._file.connection)
+            return teamwork.read_teamwork(self._file.connection)
+
+    def earlier_version(self, frame_index: int) -> Writer | None:
+        """Return the operation that left the version of a frame before the present one."""
+        with self._file.reading():
+            return teamwork.earlier_version(self._file.connection, frame_index)
 
     def free_class_id(self) -> int:
         """Return an id that no class ever had."""
@@ -347,7 +351,7 @@ class LabelStore:
 
         return self._commit(operation, "name", author, request_id)
 
-    def state(self, kind: Statement, text: str, author: str) -> Operation:
+    def state(self, kind: teamwork.Statement, text: str, author: str) -> Operation:
         """Write down what was done about people; it changes no row, and is not undone."""
 
         def operation(new: int, request_id: str) -> Operation:

@@ -124,3 +124,33 @@ def _parsed_share(text: str) -> tuple[tuple[int, ...], str, str]:
     if found is None:
         raise SemvizError(f"'{text[:60]}' assigns no frames to two people")
     return tuple(map(int, found[1].split(","))), found[2], found[3]
+
+
+LOOKED_BACK = 50_000
+"""The earlier version of a frame is searched for in so many operations."""
+
+
+def earlier_version(connection: sqlite3.Connection, frame_index: int) -> Writer | None:
+    """Return the operation that left the version of a frame before the present one.
+
+    It is the last that sent the frame back, if nobody accepted it since; otherwise the last of
+    another author than who wrote last. None if one person alone wrote it.
+    """
+    (last,) = connection.execute("SELECT coalesce(max(number), 0) FROM operations").fetchone()
+    rows = connection.execute(
+        "SELECT number, author, origin, time, kind FROM operations "
+        "WHERE number > ? AND changes LIKE ? ORDER BY number DESC",
+        (last - LOOKED_BACK, f'%"frame_index":{frame_index},%'),
+    )
+    newest: Writer | None = None
+    other: Writer | None = None
+    for writer in map(Writer._make, rows):
+        if writer.kind == "send back":
+            return writer
+        if newest is None:
+            newest = writer
+        elif other is None and writer.author != newest.author:
+            other = writer
+        if writer.kind == "accept frame" and other is not None:
+            break
+    return other

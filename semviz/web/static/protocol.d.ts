@@ -180,12 +180,14 @@ export interface ComparedElement {
   apart: string;
 }
 
-/** What two people labelled in a frame, what needs a decision first. */
+/** Two versions of a frame, what differs most first. */
 export interface ComparedEvent {
   type: "compared";
   reply_to: string | null;
   frame: number;
   people: [string, string];
+  times: [string, string];
+  is_blind: boolean;
   elements: Array<ComparedElement>;
 }
 
@@ -1105,7 +1107,7 @@ export interface ShareView {
   agreement: AgreementView | null;
 }
 
-/** Request what two people labelled in a frame. */
+/** Request two versions of a frame: of two people who labelled it blind, or earlier and now. */
 export interface ShowComparedRequest {
   type: "show_compared";
   id: string;
@@ -1248,12 +1250,15 @@ export interface TeamPerson {
   pace: number;
   edits: number;
   last: string;
+  done_on: string;
 }
 
 /** The work of all. */
 export interface TeamView {
   people: Array<TeamPerson>;
   queue: Array<QueueEntry>;
+  reviewed: number;
+  done_on: string;
 }
 
 /** One element, as of an operation. */
