@@ -215,6 +215,6 @@ def _by_need(pairs: Iterable[ElementPair]) -> tuple[ElementPair, ...]:
 
 
 def _wants_a_look(pair: ElementPair) -> tuple[bool, bool, float]:
-    alone = pair.first is None or pair.second is None
+    alone = any(view.first is None or view.second is None for view in pair.views)
     alike = pair.same_class and all(view.same_ends for view in pair.views)
     return alone, not alike, pair.worst_px

@@ -36,6 +36,7 @@ export class Compared {
     this.asked = "";
     /** @type {Map<Side, ImageBitmap>} */
     this.bitmaps = new Map();
+    this.trouble = ""; // why there is no image
     this.surface = new Surface(byId("compared-picture", HTMLCanvasElement), (context, width, height) => this.#draw(context, width, height));
     page.socket.on("compared", (event) => {
       this.known = event;
@@ -193,10 +194,13 @@ export class Compared {
   /** @param {number} frame */
   async #load(frame) {
     this.bitmaps.clear();
+    this.trouble = "";
     for (const side of /** @type {Side[]} */ (["left", "right"])) {
       if (!this.known?.elements.some(({ views }) => views.some((view) => view.side === side))) continue;
-      const { bitmap } = await this.page.pictures.get(frame, side);
-      if (bitmap && this.known?.frame === frame) this.bitmaps.set(side, bitmap);
+      const { bitmap, message } = await this.page.pictures.get(frame, side);
+      if (this.known?.frame !== frame) return;
+      if (bitmap) this.bitmaps.set(side, bitmap);
+      else this.trouble = message;
     }
     this.surface.redraw();
   }
@@ -209,6 +213,7 @@ export class Compared {
   #draw(context, width, height) {
     const view = this.element?.views.toSorted((a, b) => (b.px ?? 1e9) - (a.px ?? 1e9))[0];
     const bitmap = view && this.bitmaps.get(view.side);
+    if (view && !bitmap) drawText(context, this.trouble || "Loading the image …", width / 2, height / 2, { align: "center" });
     if (!view || !bitmap) return;
     const half = width / 2 - 2;
     const points = [view.first, view.second].flatMap((mark) => (mark ? [mark.anchor, ...mark.end ? [mark.end] : []] : []));

@@ -115,6 +115,6 @@ function plot(title, values, most, unit) {
   return el("div", { class: "share-plot", title: `${counted(values.length, "pair")}; the last bar is ${most}${unit} and more` },
     el("p", {}, el("b", { text: title }), el("span", { class: "push", text: median })),
     svg("svg", { viewBox: `0 0 ${BARS} 20`, preserveAspectRatio: "none" },
-      ...counts.map((count, at) => svg("rect", { class: at === BARS - 1 ? "beyond" : "bar", x: at + 0.05, y: 20 - (19 * count) / highest, width: 0.9, height: (19 * count) / highest }))),
+      ...counts.map((count, at) => svg("rect", { class: at === BARS - 1 ? "beyond" : "pair", x: at + 0.05, y: 20 - (19 * count) / highest, width: 0.9, height: (19 * count) / highest }))),
     el("p", { class: "dim" }, "0", el("span", { class: "push", text: `${most}${unit}` })));
 }

@@ -200,7 +200,7 @@ export class Team {
     cache.show("team-people", [known, this.shares.known, this.page.people.known, state.connected], () => this.#people());
     for (const id of ["team-person", "twice-first", "twice-second"]) {
       const before = byId(id, HTMLSelectElement).value;
-      cache.show(id, known?.people.map(({ name }) => name), () => known?.people.map(({ name }) => el("option", { value: name, text: name, selected: name === before ? "" : null })) ?? []);
+      cache.show(id, known?.people.map(({ name }) => name), () => known?.people.map(({ name }, at) => el("option", { value: name, text: name, selected: name === before || (!before && id === "twice-second" && at === 1) ? "" : null })) ?? []);
     }
     cache.show("team-chips", [known?.queue.length, this.listed, this.#counts()], () => this.#chips());
     this.#showQueue();
@@ -208,7 +208,7 @@ export class Team {
     cache.show("team-notes", [this.entry], () => this.#notes());
     const names = state.elements.map(({ id, name }) => ({ id, name }));
     cache.show("team-element", names, () => names.map(({ id, name }) => el("option", { value: id, text: name })));
-    cache.show("team-hints", 0, () => this.#hints());
+    cache.show("team-hints", this.compared.shown?.is_blind ? this.compared.shown.people : 0, () => this.#hints());
     this.compared.show();
     this.picture.show(frame, this.entry);
   }
@@ -351,7 +351,12 @@ export class Team {
 
   #hints() {
     const hint = (/** @type {string[]} */ names, /** @type {string} */ text) => el("span", { class: "hint" }, ...names.map((name) => badge(this.keys, name)), ` ${text}`);
-    return [hint(["Shift ."], "next in the queue"), hint(["Enter"], "accept"), hint(["Shift N"], "send back"), hint(["Shift I"], "pin a comment"), hint(["Shift G"], "assign frames"), hint(["F2"], "open in Images")];
+    const { shown } = this.compared;
+    if (shown?.is_blind) {
+      const [first, second] = shown.people;
+      return [hint(["ArrowDown"], "next element"), hint(["Y"], first), hint(["Shift Y"], second), hint(["M"], "mean"), hint(["X"], "neither"), hint(["Enter"], "merge"), hint(["Shift J"], "next labelled twice")];
+    }
+    return [hint(["Shift ."], "next in the queue"), hint(["Enter"], "accept"), hint(["Shift N"], "send back"), hint(["Shift I"], "pin a comment"), hint(["V"], "two versions"), hint(["Shift G"], "assign frames"), hint(["Shift T"], "label twice"), hint(["F2"], "open in Images")];
   }
 }
 

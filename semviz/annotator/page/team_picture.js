@@ -18,6 +18,7 @@ export class TeamPicture {
     /** @type {ImageBitmap | null} */
     this.bitmap = null;
     this.frame = -1; // whose image it is
+    this.message = "";
     /** @type {annotator.QueueEntry | null} */
     this.entry = null;
     this.surface = new Surface(byId("team-picture", HTMLCanvasElement), (context, width, height) => this.#draw(context, width, height));
@@ -36,9 +37,13 @@ export class TeamPicture {
   /** @param {number} frame */
   async #load(frame) {
     this.frame = frame;
-    const { bitmap } = await this.pictures.get(frame, "left");
+    this.bitmap = null;
+    this.message = "Loading the image …";
+    const { bitmap, message } = await this.pictures.get(frame, "left");
     if (frame !== this.frame) return;
     this.bitmap = bitmap;
+    this.message = message;
+    if (!bitmap) this.frame = -1; // asked for again when the page changes, for example reconnects
     this.surface.redraw();
   }
 
@@ -49,6 +54,7 @@ export class TeamPicture {
    */
   #draw(context, width, height) {
     const { bitmap, state } = this;
+    if (!bitmap) drawText(context, this.message, width / 2, height / 2, { align: "center" });
     if (!bitmap || this.frame !== state.frame) return;
     const scale = Math.min(width / bitmap.width, height / bitmap.height);
     const left = (width - scale * bitmap.width) / 2, top = 0;
