@@ -335,3 +335,21 @@ def test_two_versions_of_a_frame_stand_side_by_side(
     assert eva.inner_text("#compared-names").startswith("eva")
     eva.keyboard.press("v")
     assert eva.locator("#compared").is_hidden()
+    rows = "document.querySelectorAll('#team-queue .row')"
+    eva.click("#team-chips button:has-text('Waiting')")
+    eva.evaluate(LONG_QUEUE, 5000)
+    eva.wait_for_function(f"() => {rows}.length > 20", timeout=WAIT_MS)
+    for _ in range(2):  # the list grows by no redraw
+        eva.evaluate("semviz.team.show()")
+        assert eva.evaluate(f"{rows}.length") < 200
+    eva.evaluate("semviz.team.list.box.scrollTop = 1e9")
+    eva.wait_for_function(f"() => [...{rows}].at(-1).innerText.startsWith('4999')")
+
+
+LONG_QUEUE = """(count) => {
+  const { team } = semviz;
+  const entry = { state: "waiting", person: "mara", elements: 5, stands_out: "", notes: [] };
+  const queue = Array.from({ length: count }, (_, frame) => ({ ...entry, frame, time: "" }));
+  team.known = { ...team.known, queue };
+  semviz.state.set({});
+}"""

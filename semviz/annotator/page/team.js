@@ -38,7 +38,8 @@ export class Team {
     this.listed = "waiting"; // the part of the queue on screen
     this.versions = false; // whether the version of the frame before is shown, too
     this.asked = -1; // the operation after which the team was requested
-    this.shownQueue = "";
+    /** @type {unknown[]} */
+    this.shownQueue = []; // what the list was made of
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.timer = undefined;
     this.picture = new TeamPicture(state, page.pictures);
@@ -197,7 +198,7 @@ export class Team {
     for (const id of ["team-assign", "team-twice"]) byId(id).hidden = !this.mayReview;
     const isReady = frame !== null && this.shares.ready.includes(frame);
     this.compared.ask(this.mayReview && (isReady || this.versions) ? frame : null, state.labels.operation);
-    cache.show("team-people", [known, this.shares.known, this.page.people.known, state.connected], () => this.#people());
+    cache.show("team-people", [known?.people, known?.reviewed, known?.done_on, this.shares.known, this.page.people.known, state.connected], () => this.#people());
     for (const id of ["team-person", "twice-first", "twice-second"]) {
       const before = byId(id, HTMLSelectElement).value;
       cache.show(id, known?.people.map(({ name }) => name), () => known?.people.map(({ name }, at) => el("option", { value: name, text: name, selected: name === before || (!before && id === "twice-second" && at === 1) ? "" : null })) ?? []);
@@ -215,11 +216,11 @@ export class Team {
 
   /** Shows the chosen list: thousands of frames, of which those in sight are in the page. */
   #showQueue() {
-    const { queue, shares, listed, known, state } = this;
-    const key = JSON.stringify([listed, known === null, listed === "twice" ? shares.known : queue, state.theme, listed === "twice" ? state.frame : 0]);
-    if (key !== this.shownQueue) {
-      this.shownQueue = key;
-      this.rows = listed === "twice" ? [] : queue;
+    const { listed, known, state } = this;
+    const shown = [known, listed, state.theme, listed === "twice" ? state.frame : 0];
+    if (shown.some((value, at) => value !== this.shownQueue[at])) {
+      this.shownQueue = shown;
+      this.rows = listed === "twice" ? [] : this.queue;
       const top = byId("team-queue").scrollTop;
       this.list.show(this.rows.length);
       if (!this.rows.length) byId("team-queue").replaceChildren(...this.#instead());
