@@ -4,7 +4,8 @@
     python bench/annotator_team.py --people 8 --edits 50
 
 Each person is a page's websocket with a token of its own: it steps through frames of its own range,
-draws a sign, moves every third one, and waits between two edits. At the end all pages have seen the
+fetches their images and those of the next frames once, as a browser does, draws a sign, moves every
+third one, and waits between two edits. At the end all pages have seen the
 same last operation, every edit is in the log in the name of who made it, and the log is checked.
 The processor time of an edit does not depend on what else the machine does; it sets the ceiling.
 The workspace is as in annotator_scale.py; images do not show the labels.
@@ -16,6 +17,7 @@ import os
 import tempfile
 import time
 import uuid
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -53,7 +55,11 @@ class Labeller:
     client: Client
     first: int
     rng: np.random.Generator
+    fetch: Callable[[str], Awaitable[int]]
+    """Gets the bytes of an image."""
     times: list[float] = field(default_factory=list)
+    images: dict[str, int] = field(default_factory=dict)
+    """Bytes of those that the browser has by now."""
     last: str = ""
 
     async def work(self, options: TeamOptions) -> None:
@@ -75,6 +81,11 @@ class Labeller:
     async def _draw(self, frame: int) -> None:
         message = {"type": "go_to_frame", "id": str(uuid.uuid4()), "frame": frame}
         await self.client.ask(message, lambda told: told["type"] == "frame")
+        for near in (frame, frame + 1, max(0, frame - 1)):
+            for side in ("left", "right"):
+                image = f"image/{near}/{side}.png"
+                if image not in self.images:
+                    self.images[image] = await self.fetch(image)
         self.last = str(uuid.uuid4())
         await self._apply(
             {
@@ -128,6 +139,8 @@ async def run(url: str, tokens: dict[str, str], options: TeamOptions, workspace:
         edits = len(team) * options.edits
         print(f"{'edits a second, all together':<44} {edits / took_s:6.1f}")
         print(f"{'processor time of the server, an edit':<44} {1000.0 * cpu_s / edits:6.0f} ms")
+        fetched = sum(len(one.images) for one in team)
+        print(f"{'images fetched, an edit':<44} {fetched / edits:6.2f}")
         with workspace.open_labels() as store:
             last = store.end
         start = time.perf_counter()
@@ -157,8 +170,16 @@ async def _labellers(
         client = Client(socket)
         await client.hear(lambda told: told["type"] == "workspace")
         first = number * options.frames // options.people
-        made.append(Labeller(name, client, first, np.random.default_rng([options.seed, number])))
+        rng = np.random.default_rng([options.seed, number])
+        fetch = partial(_fetched, http, f"{base}?token={token}")
+        made.append(Labeller(name, client, first, rng, fetch))
     return made
+
+
+async def _fetched(http: ClientSession, url: str, image: str) -> int:
+    async with http.get(at(url, image)) as answer:
+        assert answer.status == 200, await answer.text()
+        return len(await answer.read())
 
 
 async def _end_seen(client: Client, number: int) -> str:

@@ -11,6 +11,7 @@ import shutil
 import sys
 import tempfile
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import chdir, closing, contextmanager
 from itertools import product
@@ -19,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from playwright.sync_api import Page, sync_playwright
 
+from semviz.annotator.blind_annotator import TeamAnnotator
 from semviz.annotator.server import Annotator
 from semviz.commands.detect import REPORT, DetectEvaluateCommand
 from semviz.commands.maps import MapLocalizabilityCommand
@@ -26,11 +28,13 @@ from semviz.commands.runs import LocalizeCommand, ReportCommand
 from semviz.inspector.server import Inspector
 from semviz.runs.reader import load_run
 from semviz.web.gateway import Gateway
+from semviz.workspace.blind import blind_workspace
 from semviz.workspace.demo import MAP, RUN, SEED, ensure_demo
+from semviz.workspace.people import People
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.assist.marked_image import Mark
 from semviz_annotation.label_formats.import_plan import ImportLabels
-from semviz_annotation.labels.edits import AddObservation, Edit
+from semviz_annotation.labels.edits import AcceptFrame, AddObservation, Edit, ReviewFrame
 from semviz_annotation.labels.labels import new_id
 from semviz_annotation.storage.store import LabelStore
 from semviz_core.base.frame import Side
@@ -73,6 +77,7 @@ LOADED_MS = 300_000
 WIDTH, HEIGHT = 1600, 950
 FRAMES = range(10)
 """Frames of the labelled street."""
+TEAM_PICTURES = (({"width": WIDTH, "height": HEIGHT}, "dark", "annotate-team.png"),)
 
 
 @contextmanager
@@ -339,6 +344,64 @@ def take_tracks(page: Page) -> None:
         page.screenshot(path=IMAGES / "annotate-tracks.png")
 
 
+def take_team(page: Page) -> None:
+    """The view Team: the review queue, and a frame that two people labelled blind."""
+    with tempfile.TemporaryDirectory() as folder:
+        workspace = Workspace.create_street(Path(folder) / "street", 7, FRAMES)
+        people = People(workspace.path)
+        for name in ("jon", "lin", "mara"):
+            people.invite(name, "annotate")
+        label(workspace, "mara", FRAMES[:-4], sigma_px=0.4)
+        with closing(TeamAnnotator(workspace, author="eva")) as tool:
+            store = tool.session.team.store
+            for index in (0, 1):
+                store.apply(AcceptFrame(index), "eva")
+            for name, text in (("mara", "0-5 mara"), ("jon", "6-9 jon")):
+                store.state("assign", text, name)
+            shares = tool.shares
+            shares.assign((FRAMES[-4], FRAMES[-1]), 100.0, ("mara", "jon"), "eva")
+            for name, sigma_px in (("mara", 0.5), ("jon", 1.0)):
+                label(blind_workspace(workspace, name), name, FRAMES[-4:-1], sigma_px)
+            with Gateway(tool).running() as url:
+                page.add_init_script("localStorage.setItem('semviz.tour', 'seen')")
+                page.goto(at(url, "?view=team"))
+                page.wait_for_function("() => window.semviz?.team.known", timeout=LOADED_MS)
+                for size, theme, name in TEAM_PICTURES:
+                    page.set_viewport_size(size)
+                    page.emulate_media(color_scheme=theme)
+                    page.keyboard.press("Shift+J")
+                    page.wait_for_function(
+                        "() => semviz.team.compared.shown && semviz.team.compared.bitmaps.size > 1",
+                        timeout=LOADED_MS,
+                    )
+                    page.click("#compared-elements .row:has-text('within')")
+                    page.wait_for_timeout(1000)
+                    page.screenshot(path=IMAGES / name)
+                page.goto("about:blank")
+
+
+def label(workspace: Workspace, name: str, frames: range, sigma_px: float) -> None:
+    """Label frames as a careful person does, who overlooks a few elements, and review them."""
+    seed = sum(name.encode())
+    made = label_street(careful(Street(7), sigma_px, seed), frames, memory=len(FRAMES)).labels
+    with workspace.open_labels() as store:
+        kept = tuple(
+            row
+            for row in made.observations.values()
+            if hash_of(row.id, name) % 12
+            and all(0.0 <= v <= 375.0 for _, v in (row.anchor_px, row.end_px or row.anchor_px))
+        )
+        elements = {row.element_id for row in kept}
+        store.apply(ImportLabels(tuple(made.elements[i] for i in elements), kept), name)
+        for index in frames:
+            store.apply(ReviewFrame(index, "reviewed"), name)
+
+
+def hash_of(id_: str, name: str) -> int:
+    """A number that differs by label and person, the same each time."""
+    return zlib.crc32(f"{id_} {name}".encode())
+
+
 def first_labels(street: Street) -> Iterator[Edit]:
     """All elements in the first frames, but in the last only a third: the rest is proposed."""
     elements: dict[int, str] = {}
@@ -369,7 +432,7 @@ WITHOUT_BROWSER = (draw_route, take_rerun)
 IN_BROWSER = (
     take_inspector, take_story, take_image, take_space, take_selected, take_solver, take_compare,
     take_forecast, take_what_if, take_label, take_report, take_detector_report, take_annotator,
-    take_review, take_tracks,
+    take_review, take_tracks, take_team,
 )  # fmt: skip
 
 

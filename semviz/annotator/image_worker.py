@@ -8,6 +8,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from pathlib import Path
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -24,7 +25,8 @@ from semviz_annotation.assist.snap import Snapped, snap, whole_pole
 from semviz_annotation.assist.stereo_matching import find_correspondence
 from semviz_annotation.labels.labels import Pixel
 from semviz_core.base.classes import ClassSet, TriangleCenter
-from semviz_core.base.frame import Dataset, Side
+from semviz_core.base.frame import Dataset, FileDataset, Side
+from semviz_core.common import limits
 from semviz_core.common.arrays import ByteImage
 from semviz_core.common.errors import SemvizError
 
@@ -48,32 +50,46 @@ class Images:
         self._source = source
         self._order = {frame.index: rank for rank, frame in enumerate(source.frames)}
         self._decoded: _FutureCache[ByteImage] = _FutureCache(CACHED_DECODED, workers=2)
-        self._images: _FutureCache[bytes] = _FutureCache(CACHED_IMAGES, workers=2)
+        self._images: _FutureCache[Path | bytes] = _FutureCache(CACHED_IMAGES, workers=2)
         self._thumbnails: _FutureCache[bytes] = _FutureCache(CACHED_THUMBNAILS, workers=1)
 
     def pixels(self, index: int, side: Side) -> ByteImage:
         """Return (height, width, 3) sRGB. Raise SemvizError if the image cannot be read."""
         return self._decoded.get((index, side), lambda: self._source.image(index, side)).result()
 
-    def png(self, index: int, side: Side) -> "Future[bytes]":
-        """Return the image as PNG, lossless: labels are made to a tenth of a pixel.
+    def shown(self, index: int, side: Side) -> "Future[Path | bytes]":
+        """Return the image for a browser: its file, if that shows the same pixels, or a PNG of it.
 
-        It is cancelled if many others are wanted before its turn comes.
+        Nothing is lossy: labels are made to a tenth of a pixel. It is cancelled if many others are
+        wanted before its turn comes.
         """
-        return self._images.get((index, side), lambda: encode_png(self.pixels(index, side)))
+        return self._images.get((index, side), lambda: self._shown(index, side))
+
+    def _shown(self, index: int, side: Side) -> Path | bytes:
+        path = self._plain_file(index, side)
+        return encode_png(self.pixels(index, side)) if path is None else path
+
+    def _plain_file(self, index: int, side: Side) -> Path | None:
+        if not isinstance(self._source, FileDataset):
+            return None
+        path = self._source.image_path(index, side)
+        camera = self._source.rig.left if side == "left" else self._source.rig.right
+        data = limits.read_limited(path, limits.MOST_IMAGE_BYTES)
+        is_plain = camera is not None and limits.image_size(data) == (camera.width, camera.height)
+        return path if is_plain and limits.is_plain_image(data) else None
 
     def thumbnail(self, index: int) -> "Future[bytes]":
         """Return the left image as a small JPEG."""
         return self._thumbnails.get((index, "thumbnail"), lambda: self._shrink(index))
 
     def prefetch(self, index: int) -> None:
-        """Start to encode the images of the frames before and after ``index``."""
+        """Start to prepare the images of the frames before and after ``index``."""
         frames, rank = self._source.frames, self._order[index]
         for near in (rank + 1, rank - 1):
             if 0 <= near < len(frames):
-                self.png(frames[near].index, "left")
+                self.shown(frames[near].index, "left")
                 if self._source.rig.right is not None:
-                    self.png(frames[near].index, "right")
+                    self.shown(frames[near].index, "right")
 
     def close(self) -> None:
         for cache in (self._images, self._thumbnails, self._decoded):

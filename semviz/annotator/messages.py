@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from pydantic import ConfigDict, Field
 
-from semviz.annotator import people_view, pose_views, team_view, track_messages, views
+from semviz.annotator import blind_views, people_view, pose_views, team_view, track_messages, views
 from semviz.annotator.draft import (
     DraftPreview,
     DraftState,
@@ -86,6 +86,14 @@ class AcceptEdit(protocol.Part):
     marks: list[DrawnMark] = Field(min_length=1)
 
 
+class MergeFrameEdit(protocol.Part):
+    """Take labels for a frame that two people labelled blind, as the page showed them."""
+
+    kind: Literal["merge frame"]
+    frame_index: Index
+    marks: list[DrawnMark]
+
+
 class UndoEdit(protocol.Part):
     """Undo the author's last edit."""
 
@@ -115,6 +123,7 @@ class RestoreEdit(protocol.Part):
 PageEdit: TypeAlias = Annotated[
     DrawEdit
     | AcceptEdit
+    | MergeFrameEdit
     | AcceptTracksEdit
     | RejectTracksEdit
     | AcceptSureTracksEdit
@@ -233,6 +242,10 @@ AnnotatorRequest: TypeAlias = Annotated[
     | StopMapBuildRequest
     | team_view.ShowTeamRequest
     | team_view.AssignFramesRequest
+    | blind_views.AssignShareRequest
+    | blind_views.EndShareRequest
+    | blind_views.ShowComparedRequest
+    | blind_views.OpenShareRequest
     | track_messages.ShowTracksRequest
     | track_messages.ShowTrackRequest
     | track_messages.SearchTrackRequest
@@ -411,7 +424,9 @@ AnnotatorEvent: TypeAlias = (
     | track_messages.TrackProposalsEvent
     | track_messages.ReSnapEvent
     | people_view.PeopleEvent
-    | team_view.TeamEvent
+    | blind_views.TeamEvent
+    | blind_views.ComparedEvent
+    | blind_views.ShareOpenedEvent
     | DriveEvent
     | DriveFrameEvent
     | pose_views.PosesEvent

@@ -157,10 +157,12 @@ def _describe(operation: Operation, labels: Labels) -> str:
         return f"Frame {frame} {_review_state(operation) or state}"
     if operation.kind == "name":
         return f"Name this state “{operation.text}”"
-    if operation.kind in ("invite", "revoke", "assign"):
+    if operation.kind == "label once":
+        return f"Label once what operation {operation.text} had labelled twice"
+    if operation.kind in ("invite", "revoke", "assign", "label twice"):
         return f"{operation.kind.capitalize()} {operation.text}"
-    if operation.kind in ("accept frame", "send back"):
-        verb = "Accept" if operation.kind == "accept frame" else "Send back"
+    if operation.kind in ("accept frame", "send back", "merge frame"):
+        verb = operation.kind.removesuffix(" frame").capitalize()
         return f"{verb} frame {frame_of(operation, labels)}"
     if operation.kind in ("declare class", "remove class", "declare attribute"):
         declared = (ClassDeclaration, AttributeType)

@@ -6,6 +6,7 @@ from typing import Protocol
 
 from semviz.annotator import messages
 from semviz.annotator.association import SamePlaceError
+from semviz.annotator.blind_views import OpenShareRequest
 from semviz.annotator.draft import LabelledFrameView
 from semviz.annotator.drive_requests import DriveRequests, PoseRequests, PoseServices, PoseUndo
 from semviz.annotator.page_scene import PageScene, SceneServices
@@ -15,15 +16,13 @@ from semviz.annotator.pose_views import ChoosePosesRequest
 from semviz.annotator.services import SearchServices
 from semviz.annotator.session import LabelSession
 from semviz.annotator.session_results import SavedEdit
-from semviz.annotator.team_requests import TeamRequests, TeamServices, needs_review
-from semviz.annotator.team_view import AssignFramesRequest
+from semviz.annotator.team_requests import REVIEWING, TeamRequests, TeamServices, needs_review
 from semviz.annotator.track_requests import TrackRequests
 from semviz.annotator.track_rows import TrackFrame, TrackRow
 from semviz.annotator.views import FrameSummary, LabelsView
 from semviz.web import protocol
 from semviz.web.protocol import RefusedError
 from semviz.workspace.backdrop import find_backdrop
-from semviz.workspace.people import Role
 from semviz_annotation.storage.label_file import Health, LabelFileError
 from semviz_annotation.storage.operations import ConflictError, ReplacedLogError
 
@@ -42,10 +41,6 @@ class AnnotatorServices(PoseServices, SearchServices, TeamServices, SceneService
         """Set when a page has updates to send."""
         ...
 
-    def role_of(self, person: str) -> Role | None:
-        """Return what a guest may do, "" being who started the server; None: no longer anything."""
-        ...
-
     def people_changed(self) -> None:
         """Tell all pages soon who is where."""
         ...
@@ -58,7 +53,8 @@ CHANGING = (
     messages.BuildMapRequest,
     messages.StopMapBuildRequest,
     ChoosePosesRequest,
-    AssignFramesRequest,
+    OpenShareRequest,
+    *REVIEWING,
 )
 """Requests that need more than the right to look."""
 
@@ -83,7 +79,7 @@ class AnnotatorPage:
         self._poses = PoseRequests(send, shared, self.author)
         self._drive = DriveRequests(send, shared)
         self._tracks = TrackRequests(send, shared)
-        self._team = TeamRequests(send, shared, self.author)
+        self._team = TeamRequests(send, shared, self.author, person)
         self._frame = next(iter(self._session.frames))
         self._second: SecondImage | None = None
         """The wish for the second image."""
@@ -184,7 +180,7 @@ class AnnotatorPage:
         if role == "look" and isinstance(request, CHANGING):
             raise RefusedError("invalid", "you may look at these labels, and not change them")
         if role != "review" and needs_review(request):
-            raise RefusedError("invalid", "only who reviews accepts, sends back and assigns frames")
+            raise RefusedError("invalid", "only who reviews may do this")
         self._handle(request)
 
     def close(self) -> None:

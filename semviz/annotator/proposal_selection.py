@@ -21,6 +21,7 @@ from semviz.annotator.proposals import (
     Expected,
     ImageQuery,
     LabelProposal,
+    PropagationQueries,
     PropagationQuery,
 )
 from semviz.annotator.proposals import label_proposals as element_proposals
@@ -155,8 +156,8 @@ def _is_duplicate(first: LabelProposal, second: LabelProposal) -> bool:
     if first.mark is None or second.mark is None or first.pane != second.pane:
         return False
     both_searched = first.score is not None and second.score is not None
-    alike = first.class_id == second.class_id and first.mark.gap_px(second.mark) < TAKEN_PX
-    return both_searched and alike
+    may_be = both_searched and first.class_id == second.class_id
+    return may_be and first.mark.gap_px(second.mark) < TAKEN_PX
 
 
 def _is_expected(proposal: LabelProposal) -> bool:
@@ -201,6 +202,7 @@ class ProposalSelection:
         self._labels = Labels()
         self._geometries: dict[tuple[Pane, ...], _Geometry] = {}
         """By the images on the page, for these labels."""
+        self._queries = PropagationQueries(cameras)
         self._last_tracks = tracks
         self._tracks = NO_TRACKS
         self._matches_of = lru_cache(CACHED_FRAMES)(self._matches_in)
@@ -341,7 +343,7 @@ class ProposalSelection:
             for element in nearby
             for projection in element.projections
         ]
-        proposals = element_proposals(panes, expected, labels, self._cameras)
+        proposals = element_proposals(panes, expected, labels, self._queries)
         tracks_px = {
             pane: self._tracks.project(self._cameras.view(pane.frame_index, pane.side), labels)
             for pane in panes.values()

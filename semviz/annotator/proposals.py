@@ -14,7 +14,7 @@ from semviz.annotator.element_positions import REACH_M, ProjectedElement
 from semviz.annotator.panes import Cameras, Pane
 from semviz_annotation.assist.marked_image import SURE, Mark, ProposedMark, clip_to_image
 from semviz_annotation.assist.score import growth, look_again, view_to_follow, views_beside
-from semviz_annotation.labels.labels import Labels, proposal_id
+from semviz_annotation.labels.labels import Labels, Observation, proposal_id
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_core.base.camera import Camera
 from semviz_core.base.frame import Side
@@ -26,6 +26,8 @@ Origin: TypeAlias = Literal["map", "match", "detector"]
 
 DETECTED_PX = 6.0
 """A detection this close to a labelled or expected element is taken to be that element."""
+CACHED_QUERIES = 20_000
+"""About 20 MB: of ten elements in each of a thousand frames around the pages."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +174,7 @@ def label_proposals(
     panes: Mapping[Side, Pane],
     expected: Iterable[Expected],
     labels: Labels,
-    cameras: Cameras,
+    queries: "PropagationQueries",
 ) -> list[LabelProposal]:
     """Return all proposals of known elements for ``panes``, before any image search."""
     rejected = {
@@ -181,7 +183,7 @@ def label_proposals(
         for dismissal in labels.dismissed_in(pane.frame_index)
     }
     expected = list(expected)
-    mapped = {proposal.id: proposal for proposal in _map_proposals(expected, labels, cameras)}
+    mapped = {proposal.id: proposal for proposal in _map_proposals(expected, labels, queries)}
     positions = {element.projection.element_id: element.position for element in expected}
     matches = {match.id: match for match in _match_proposals(panes, labels, positions)}
     for id_ in (
@@ -222,7 +224,7 @@ def _match_proposals(
 
 
 def _map_proposals(
-    expected: Sequence[Expected], labels: Labels, cameras: Cameras
+    expected: Sequence[Expected], labels: Labels, queries: "PropagationQueries"
 ) -> list[LabelProposal]:
     """Propose each expected element; those with a known position are searched for in the images."""
     proposals = []
@@ -247,44 +249,64 @@ def _map_proposals(
                 if other.projection.element_id == projection.element_id
                 and other.pane.frame_index == pane.frame_index
             ]
-            proposal = replace(
-                proposal,
-                query=_propagation(class_id, element, panes, labels, cameras),
-            )
+            proposal = replace(proposal, query=queries.of(class_id, element, panes, labels))
         proposals.append(proposal)
     return proposals
 
 
-def _propagation(
-    class_id: int, element: Expected, panes: Sequence[Pane], labels: Labels, cameras: Cameras
-) -> PropagationQuery:
-    """Search ``panes`` of one time for an element, by its labels in other images."""
-    assert element.position is not None
-    rows = [
-        row
-        for row in labels.of_element(element.projection.element_id)
-        if row.frame_index in cameras.rank
-    ]
-    there = [Pane(row.frame_index, row.side) for row in rows]
-    sizes = cameras.sizes_px(element.position, there)
-    moments = np.array([cameras.rank[pane.frame_index] for pane in there])
-    moments = np.abs(moments - cameras.rank[element.pane.frame_index])
-    followed = []
-    for pane in panes:
-        other_camera = np.array([source.side != pane.side for source in there])
-        now = float(cameras.sizes_px(element.position, [pane])[0])
-        followed.append(view_to_follow(sizes, moments, other_camera, now))
-    images = tuple(
-        SearchImage(pane, there[row], Mark.of(rows[row]))
-        for pane, row in zip(panes, followed, strict=True)
-    )
-    beside = tuple(
-        LabelledPane(there[row], Mark.of(rows[row])) for row in views_beside(moments, followed)
-    )
-    now = float(cameras.sizes_px(element.position, panes).max())
-    return PropagationQuery(
-        class_id, element.position, images, beside, growth(sizes, now, look_again(element.position))
-    )
+class PropagationQueries:
+    """Queries that search for elements by their labels in other images, cached.
+
+    A position is the same object until its element's labels change, so that labelling one element
+    computes nothing anew of the others around. One thread at a time.
+    """
+
+    def __init__(self, cameras: Cameras) -> None:
+        self.cameras = cameras
+        self._queries: dict[tuple[int, Triangulated, tuple[Pane, ...]], PropagationQuery] = {}
+
+    def of(
+        self, class_id: int, element: Expected, panes: Sequence[Pane], labels: Labels
+    ) -> PropagationQuery:
+        """Return the search of ``panes`` of one time for an element of known position."""
+        assert element.position is not None
+        key = class_id, element.position, tuple(panes)
+        if key not in self._queries:
+            if len(self._queries) >= CACHED_QUERIES:
+                self._queries.clear()
+            rows = [
+                row
+                for row in labels.of_element(element.projection.element_id)
+                if row.frame_index in self.cameras.rank
+            ]
+            self._queries[key] = self._query(class_id, element.position, panes, rows)
+        return self._queries[key]
+
+    def _query(
+        self,
+        class_id: int,
+        position: Triangulated,
+        panes: Sequence[Pane],
+        rows: Sequence[Observation],
+    ) -> PropagationQuery:
+        there = [Pane(row.frame_index, row.side) for row in rows]
+        ranks = self.cameras.rank
+        moments = np.array([ranks[pane.frame_index] for pane in there])
+        moments = np.abs(moments - ranks[panes[0].frame_index])
+        sizes, now = np.split(self.cameras.sizes_px(position, [*there, *panes]), [len(there)])
+        followed = []
+        for pane, size in zip(panes, now, strict=True):
+            other_camera = np.array([source.side != pane.side for source in there])
+            followed.append(view_to_follow(sizes, moments, other_camera, float(size)))
+        images = tuple(
+            SearchImage(pane, there[row], Mark.of(rows[row]))
+            for pane, row in zip(panes, followed, strict=True)
+        )
+        beside = tuple(
+            LabelledPane(there[row], Mark.of(rows[row])) for row in views_beside(moments, followed)
+        )
+        grown = growth(sizes, float(now.max()), look_again(position))
+        return PropagationQuery(class_id, position, images, beside, grown)
 
 
 def inside(mark: Mark, camera: Camera) -> Mark | None:

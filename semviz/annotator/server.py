@@ -8,9 +8,11 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import TypeVar
 
 from aiohttp import web
 
+from semviz.annotator.blind_shares import BlindShares
 from semviz.annotator.drive_requests import PoseUndo
 from semviz.annotator.page_session import HANDLERS, AnnotatorPage
 from semviz.annotator.people_view import PersonView, people_views
@@ -18,6 +20,7 @@ from semviz.annotator.pose_views import PoseWork
 from semviz.annotator.session import LabelSession
 from semviz.annotator.track_rows import TrackRow
 from semviz.annotator.views import FrameSummary
+from semviz.web.protocol import RefusedError
 from semviz.web.sessions import Send, Sessions
 from semviz.web.viser_servers import ViserServers
 from semviz.workspace.people import People, Role
@@ -40,8 +43,11 @@ SEND_EVERY_S = 0.5
 """How often to send what was analyzed."""
 ANALYZE_S = 0.005
 """Longest time that background analysis may delay an edit."""
-PAUSE_S = 0.01
+PAUSE_S, BUSY_PAUSE_S = 0.01, 0.05
+"""Between two slices of that analysis: longer for so long after an edit as ``BUSY_S``."""
+BUSY_S = 1.0
 KEEP_IMAGE = "private, max-age=3600"
+P = TypeVar("P", bytes, Path | bytes)
 
 
 class Annotator:
@@ -59,7 +65,12 @@ class Annotator:
         self._pages: list[AnnotatorPage] = []
         self._closing = threading.Event()
         self.people = People(workspace.path)
+        self.shares = BlindShares(
+            workspace, lambda: self.session.team.store, tuple(self.session.frames)
+        )
         self.updates_queued = threading.Event()
+        self._flushed = -BUSY_S
+        """When updates by the edits of others were sent last."""
         self._people_changed = threading.Event()
         self._sent_people: list[PersonView] = []
         self._sent_health: Health | None = None
@@ -99,6 +110,13 @@ class Annotator:
     def people_changed(self) -> None:
         self._people_changed.set()
 
+    def blind_address(self, name: str) -> str:
+        """Return where a person labels blind. Raise RefusedError: not within another tool."""
+        raise RefusedError("not_found", "label these frames in 'semviz annotate'")
+
+    def shares_changed(self) -> None:
+        """Let the annotators of those who label blind follow the shares."""
+
     def close(self) -> None:
         """Stop the threads and close the label file."""
         self._closing.set()
@@ -110,6 +128,7 @@ class Annotator:
         self.scene_thread.shutdown(wait=True, cancel_futures=True)
         self.scenes.close_all()  # one may have been opened after its page had gone
         self.search_thread.shutdown(wait=True)  # its last task may be to close a session
+        self.shares.close()
         self.session.close()
 
     def use_chosen_poses(self) -> None:
@@ -121,6 +140,7 @@ class Annotator:
             old = self.session
             self.session = LabelSession(Workspace.open(old.workspace.path), old.author)
             self.session.map_work.refresh()
+            self.shares.follow()
             for page in self.pages:
                 page.restart()
         self.search_thread.submit(old.close)  # after the searches that use it
@@ -157,6 +177,7 @@ class Annotator:
         while not self._closing.is_set():
             self.updates_queued.wait()
             self.updates_queued.clear()
+            self._flushed = time.monotonic()
             for page in self.pages:
                 with contextlib.suppress(sqlite3.Error, LabelFileError), self.lock:
                     page.send_update()
@@ -211,7 +232,7 @@ class Annotator:
         frames: list[FrameSummary] = []
         rows: list[TrackRow] = []
         done, sent = True, time.monotonic()
-        while not self._closing.wait(POLL_EVERY_S if done else PAUSE_S):
+        while not self._closing.wait(POLL_EVERY_S if done else self._pause_s):
             with contextlib.suppress(sqlite3.Error, LabelFileError), self.lock:
                 analyzed = self.session.analyze(ANALYZE_S)
                 done = analyzed.is_done
@@ -225,6 +246,11 @@ class Annotator:
                     page.send_frame_list(frames)
                 frames, rows, sent = [], [], time.monotonic()
 
+    @property
+    def _pause_s(self) -> float:
+        is_busy = time.monotonic() < self._flushed + BUSY_S
+        return BUSY_PAUSE_S if is_busy else PAUSE_S
+
     def _send_updates(self) -> None:
         with self.lock:
             if self._pages and self.session.has_updates():
@@ -237,28 +263,34 @@ class Annotator:
     async def _index(self, request: web.Request) -> web.FileResponse:
         return web.FileResponse(PAGE / "index.html")
 
-    async def _image(self, request: web.Request) -> web.Response:
+    async def _image(self, request: web.Request) -> web.StreamResponse:
         side: Side = "left" if request.match_info["side"] == "left" else "right"
         frame = int(request.match_info["frame"])
-        return await _picture(lambda: self.session.images.png(frame, side), "image/png")
+        return await _picture(lambda: self.session.images.shown(frame, side), "image/png")
 
-    async def _thumbnail(self, request: web.Request) -> web.Response:
+    async def _thumbnail(self, request: web.Request) -> web.StreamResponse:
         frame = int(request.match_info["frame"])
         return await _picture(lambda: self.session.images.thumbnail(frame), "image/jpeg")
 
 
-async def _picture(encoded: Callable[[], "Future[bytes]"], kind: str) -> web.Response:
+async def _picture(found: "Callable[[], Future[P]]", kind: str) -> web.StreamResponse:
+    """Return an image that the browser keeps; of a file it asks later whether that has changed."""
     try:
-        data = await _uncancelled(encoded)
+        image = await _uncancelled(found)
     except SemvizError as error:
         raise web.HTTPNotFound(text=str(error)) from None
-    return web.Response(body=data, content_type=kind, headers={"Cache-Control": KEEP_IMAGE})
+    headers = {"Cache-Control": KEEP_IMAGE}
+    if isinstance(image, bytes):
+        return web.Response(body=image, content_type=kind, headers=headers)
+    if not image.is_file():
+        raise web.HTTPNotFound(text=f"{image}: no such image; copy it there again")
+    return web.FileResponse(image, headers=headers)
 
 
-async def _uncancelled(encoded: Callable[[], "Future[bytes]"]) -> bytes:
-    """Return an encoded image; ask again if it was cancelled in favour of others."""
+async def _uncancelled(found: "Callable[[], Future[P]]") -> P:
+    """Return an image; ask again if it was cancelled in favour of others."""
     while True:
-        future = encoded()
+        future = found()
         try:
             return await asyncio.shield(asyncio.wrap_future(future))  # others may await it too
         except asyncio.CancelledError:

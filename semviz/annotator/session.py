@@ -240,7 +240,10 @@ class LabelSession:
             case track_messages.NoteEdit():
                 return self._saved(write(edit.note(author)))
             case messages.AcceptEdit():
-                return self._accept(edit.marks, write)
+                return self._saved(write(edits.AddMany(self._accepted(edit.marks))))
+            case messages.MergeFrameEdit():
+                merge = edits.MergeFrame(edit.frame_index, self._accepted(edit.marks))
+                return self._saved(write(merge))
             case (
                 track_edits.AcceptTracksEdit()
                 | track_edits.RejectTracksEdit()
@@ -270,15 +273,12 @@ class LabelSession:
                 raise SamePlaceError(drawn, below)
         return replace(self._saved(write(addition)), note=note)
 
-    def _accept(self, marks: Iterable[messages.DrawnMark], write: Write) -> SavedEdit:
-        """Accept proposals as shown on the page: each like a drawing, all or none."""
+    def _accepted(self, marks: Iterable[messages.DrawnMark]) -> tuple[edits.AddObservation, ...]:
+        """Return the edits that add marks as shown on the page: each like a drawing."""
         by_element: dict[str, list[messages.DrawnMark]] = defaultdict(list)
         for mark in marks:
             by_element[mark.element_id].append(mark)
-        added = tuple(
-            addition for group in by_element.values() for addition in self._additions(group)
-        )
-        return self._saved(write(edits.AddMany(added)))
+        return tuple(row for group in by_element.values() for row in self._additions(group))
 
     def _additions(self, marks: list[messages.DrawnMark]) -> Iterator[edits.AddObservation]:
         """Add the marks of one element; those of a new element join another if all of them do."""

@@ -1,5 +1,6 @@
 """Who has what, how far everybody is, and which frames wait for a reviewer."""
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -10,7 +11,7 @@ from pydantic import Field
 from semviz.annotator.frame_quality import FrameQuality
 from semviz.annotator.track_rows import NoteView, note_view
 from semviz.annotator.views import label_element_name
-from semviz.web.protocol import Event, Part, Request
+from semviz.web.protocol import Part, Request
 from semviz.workspace.people import Person
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.rows import REVIEWED
@@ -24,6 +25,10 @@ STANDS_OUT_PX = 3.0
 FEW_ELEMENTS = 4
 PACE_HOURS = 8
 """The pace of a person counts the frames reviewed in so many hours."""
+MOST_DAYS = 1000
+"""Nothing is foretold for later than in so many days."""
+FORECAST_DAYS = 7
+"""The forecast takes the pace of those of the last days on which frames were reviewed."""
 
 
 class TeamPerson(Part):
@@ -41,6 +46,9 @@ class TeamPerson(Part):
     edits: int
     last: str
     """Time of the last edit, UTC; empty for none."""
+    done_on: str
+    """Day on which the rest of the assigned frames will be reviewed, at this person's pace; empty
+    if nothing is left, or nothing tells."""
 
 
 class ElementNote(NoteView):
@@ -70,6 +78,10 @@ class TeamView(Part):
     people: list[TeamPerson]
     queue: list[QueueEntry]
     """By frame."""
+    reviewed: int
+    """Frames of all."""
+    done_on: str
+    """Day on which all frames will be reviewed at the pace of all; as for a person."""
 
 
 class ShowTeamRequest(Request):
@@ -90,11 +102,18 @@ class AssignFramesRequest(Request):
     frames: tuple[AssignedFrame, AssignedFrame] | None
 
 
-class TeamEvent(Event):
-    """The work of all."""
+def done_on(left: int, times: Iterable[str], now: datetime) -> str:
+    """Return the day (ISO 8601) on which ``left`` frames will be reviewed.
 
-    type: Literal["team"] = "team"
-    team: TeamView
+    ``times`` (UTC, ISO 8601) are when others were. The pace is that of the days of the last week
+    on which some were. Empty if none is left, or there were no such days.
+    """
+    since = (now - timedelta(days=FORECAST_DAYS)).isoformat()
+    recent = [time[:10] for time in times if time > since]
+    if not left or not recent:
+        return ""
+    days = math.ceil(left * len(set(recent)) / len(recent))
+    return (now + timedelta(days=days)).date().isoformat() if days < MOST_DAYS else ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,15 +128,17 @@ class TeamWork:
     def view(self, people: Mapping[str, Person], owner: str) -> TeamView:
         """Return the work of who was invited, of the owner, and of all who labelled."""
         labels = self.store.labels
-        writers, tallies, assigned = self.store.teamwork()
+        writers, tallies, assigned, _ = self.store.team()
         names = sorted({*people, owner, *tallies, *assigned})
-        recent = (datetime.now(UTC) - timedelta(hours=PACE_HOURS)).isoformat()
+        now = datetime.now(UTC)
+        recent = (now - timedelta(hours=PACE_HOURS)).isoformat()
+        reviewed = {i for i in self.order if labels.review(i) in REVIEWED}
         team = []
         for name in names:
             own = [frame for frame, writer in writers.items() if writer.author == name]
             ranges = assigned.get(name, [])
             frames = {i for i in self.order if any(r.first <= i <= r.last for r in ranges)}
-            done = [i for i in (frames or own) if labels.review(i) in REVIEWED]
+            done = [i for i in (frames or own) if i in reviewed]
             pace = [i for i in own if writers[i].kind == "review" and writers[i].time > recent]
             tally = tallies.get(name)
             team.append(
@@ -129,6 +150,9 @@ class TeamWork:
                     pace=len(pace),
                     edits=tally.edits if tally else 0,
                     last=tally.last if tally else "",
+                    done_on=done_on(
+                        len(frames - reviewed), (writers[i].time for i in own if i in reviewed), now
+                    ),
                 )
             )
         queue = [
@@ -136,7 +160,9 @@ class TeamWork:
             for index in self.order
             if index in writers and (state := _state(index, writers[index], labels))
         ]
-        return TeamView(people=team, queue=queue)
+        times = (writers[i].time for i in reviewed if i in writers)
+        rest = done_on(len(self.order) - len(reviewed), times, now)
+        return TeamView(people=team, queue=queue, reviewed=len(reviewed), done_on=rest)
 
     def checked(self, frames: tuple[int, int] | None) -> AssignedFrames | None:
         """Return a range of frames. Raise SemvizError if the sequence has none of them."""
@@ -187,5 +213,5 @@ class TeamWork:
 def _state(index: int, writer: Writer, labels: Labels) -> QueueState | None:
     """Return where a frame stands; None if it is in work and was not sent back."""
     if labels.review(index) in REVIEWED:
-        return "accepted" if writer.kind == "accept frame" else "waiting"
+        return "accepted" if writer.kind in ("accept frame", "merge frame") else "waiting"
     return "sent back" if writer.kind == "send back" else None

@@ -11,6 +11,7 @@ from semviz.annotator.frame_quality import FrameFacts
 from semviz.annotator.map_review import MapSummary
 from semviz.annotator.panes import Pane, Panes
 from semviz.web.protocol import ImageSize, Part
+from semviz.workspace.blind import BlindWorkspace
 from semviz.workspace.people import Role
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import (
@@ -163,6 +164,8 @@ class WorkspaceView(Part):
     has_right: bool
     cameras: list[str]
     """Of a rig."""
+    is_blind: bool
+    """Whether these are frames that its person labels without seeing another's labels."""
 
 
 def label_element_name(element: LabelElement, classes: ClassSet) -> str:
@@ -304,4 +307,5 @@ def workspace_view(workspace: Workspace, author: str, role: Role, labels: Labels
         },
         has_right=rig.right is not None,
         cameras=list(camera_names(workspace.source)),
+        is_blind=isinstance(workspace, BlindWorkspace),
     )

@@ -52,13 +52,13 @@ class AnnotateCommand:
     def run(self) -> int:
         if self.invite is not None or self.revoke is not None:
             return self._change_people()
-        from semviz.annotator.server import Annotator
+        from semviz.annotator.blind_annotator import TeamAnnotator
         from semviz.presentation.terminal import announce_compiling
         from semviz.workspace.demo import ensure_demo
 
         announce_compiling("snapping to edges")
         folder = self.workspace if self.workspace is not None else ensure_demo()
-        tool = Annotator(parsing.open_workspace(folder), author=self.author)
+        tool = TeamAnnotator(parsing.open_workspace(folder), author=self.author)
         if left_out := tool.session.left_out_proposals:
             print(
                 f"warning: {left_out} proposed triangular signs are left out: their middle is "

@@ -154,9 +154,9 @@ class InnerTools(web.AbstractResource, web.AbstractRouteDef):
         self._prefix = f"/{prefix}"
         self._tools: dict[str, web.PrefixedSubAppResource] = {}
 
-    def add(self, name: str, tool: Tool) -> None:
-        """Serve ``tool`` under ``/PREFIX/NAME/`` from now on."""
-        app = tool_application(tool)
+    def add(self, name: str, tool: Tool, **options: Any) -> None:
+        """Serve ``tool`` under ``/PREFIX/NAME/`` from now on; for ``options`` see above."""
+        app = tool_application(tool, **options)
         resource = web.PrefixedSubAppResource(f"{self._prefix}/{name}", app)
         app.freeze()
         self._tools[name] = resource

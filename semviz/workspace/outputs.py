@@ -29,12 +29,26 @@ _OWN: Final = {
     "motions": (re.compile(r"image_motions\.safetensors"), "image_motions.safetensors"),
     "choices": (re.compile(r"pose_choices\.json"), "pose_choices.json"),
     "calibration": (re.compile(r"detector\.calibration\.toml"), "detector.calibration.toml"),
+    "people": (re.compile(r"people\.json"), "people.json"),
+    "blind": (re.compile(r"blind(/.*)?"), "blind/**/*"),
     "kept": (re.compile(r"kept(/.*)?"), "kept/**/*"),
     "map": (re.compile(r"maps(/.*\.parquet)?"), "maps/**/*.parquet"),
     "run": (re.compile(r"runs(/.*\.rrd)?"), "runs/**/*.rrd"),
 }
 """What a workspace holds, by the purpose of the commands that write it: the paths in its folder
 that belong to it, existing or not, and how to list those that exist."""
+
+
+MOST_NAME_BYTES = 200
+"""File systems allow 255, with the ending and a temporary suffix."""
+
+
+def checked_name(name: str) -> str:
+    """Return the name of a map or run. Raise SemvizError if no file can have it."""
+    fits = 0 < len(name.encode()) <= MOST_NAME_BYTES and name.isprintable()
+    if not fits or name.startswith(".") or set(name) & set('/\\:*?"<>|'):
+        raise SemvizError(f"{name!r} cannot be a file name; use letters, digits, '-' and '_'")
+    return name
 
 
 def check_outputs(

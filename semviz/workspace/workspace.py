@@ -14,6 +14,7 @@
     image_motions.safetensors  motions measured in the images; see ``pose_check``
     pose_choices.json    what people chose for wrong poses, if anything; see ``pose_choices``
     detector.calibration.toml  what the scores of the detector mean, if chosen; see ``calibration``
+    blind/NAME/          labels of frames that two people label blind; see ``blind``
     maps/NAME.parquet
     runs/NAME.rrd
 
@@ -30,7 +31,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from semviz.workspace import drive_file
-from semviz.workspace.outputs import check_empty
+from semviz.workspace.outputs import check_empty, checked_name
 from semviz.workspace.pose_choices import FILE as POSE_CHOICES
 from semviz.workspace.pose_choices import PoseChoices, read_choices
 from semviz.workspace.settings import (
@@ -65,8 +66,7 @@ if TYPE_CHECKING:
     from semviz_core.simulation.layout import Section
     from semviz_core.simulation.street import Street
 
-MOST_NAME_BYTES = 200
-"""File systems allow 255, with the ending and a temporary suffix."""
+BLIND = "blind"
 MAIN = "main"
 """Default name of the map to build and use."""
 TRUTH = "truth"
@@ -86,6 +86,10 @@ class Workspace:
     def open(cls, path: Path | str) -> "Workspace":
         """Return the workspace in folder ``path``."""
         path = Path(path)
+        if path.parent.name == BLIND and (path.parent.parent / SETTINGS).is_file():
+            from semviz.workspace.blind import BlindWorkspace
+
+            return BlindWorkspace(cls.open(path.parent.parent), path.name)
         if not path.is_dir():
             raise SemvizError(
                 f"{path}: no such workspace; make one with "
@@ -279,11 +283,11 @@ class Workspace:
 
     def map_path(self, name: str) -> Path:
         """Path of the map ``name``, which need not exist."""
-        return self.path / "maps" / f"{_checked_name(name)}.parquet"
+        return self.path / "maps" / f"{checked_name(name)}.parquet"
 
     def run_path(self, name: str) -> Path:
         """Path of the run ``name``, which need not exist."""
-        return self.path / "runs" / f"{_checked_name(name)}.rrd"
+        return self.path / "runs" / f"{checked_name(name)}.rrd"
 
     def maps(self) -> tuple[str, ...]:
         """Names of the maps, oldest first."""
@@ -435,13 +439,6 @@ def _check_dataset(source: Dataset, trust_poses: bool, looks_ahead: bool = True)
             f"{name}: {error}; if the poses are right, use 'semviz new --trust-poses' "
             f"or set trust_poses = true at the top of {SETTINGS}"
         ) from None
-
-
-def _checked_name(name: str) -> str:
-    fits = 0 < len(name.encode()) <= MOST_NAME_BYTES and name.isprintable()
-    if not fits or name.startswith(".") or set(name) & set('/\\:*?"<>|'):
-        raise SemvizError(f"{name!r} cannot be a file name; use letters, digits, '-' and '_'")
-    return name
 
 
 def _names(folder: Path, suffix: str) -> tuple[str, ...]:

@@ -255,7 +255,7 @@ def test_every_frame_that_a_page_may_assign_is_read_from_the_log(workspace: Work
     assert frames is not None
     with workspace.open_labels() as store:
         store.state("assign", assignment_text("mara", AssignedFrames(*frames)), "tester")
-        assert store.teamwork()[2] == {"mara": [(0, last)]}
+        assert store.team()[2] == {"mara": [(0, last)]}
     with pytest.raises(ValidationError):
         AssignFramesRequest.model_validate(request | {"frames": (0, last + 1)})
 

@@ -46,6 +46,7 @@ __all__ = [
     "Dismiss",
     "Edit",
     "Link",
+    "MergeFrame",
     "MoveObservation",
     "NewElement",
     "ReSnap",
@@ -117,6 +118,27 @@ class SendBackFrame:
     def changes(self, labels: Labels, rules: rows.Rules) -> Iterator[rows.RowChange]:
         before = _reviewed(self.frame_index, labels)
         yield rows.RowChange(before, rows.Review(self.frame_index, "in work"))
+
+
+@dataclass(frozen=True)
+class MergeFrame:
+    """Take labels for a frame that two people labelled each for themselves, and review it."""
+
+    frame_index: rows.Index
+    observations: tuple[AddObservation, ...]
+    kind: Literal["merge frame"] = "merge frame"
+
+    def changes(self, labels: Labels, rules: rows.Rules) -> Iterator[rows.RowChange]:
+        if labels.in_frame(self.frame_index):
+            raise SemvizError(f"frame {self.frame_index} has labels already; delete them first")
+        if any(row.frame_index != self.frame_index for row in self.observations):
+            raise SemvizError(f"not all of these labels are in frame {self.frame_index}")
+        if self.observations:
+            yield from AddMany(self.observations).changes(labels, rules)
+        review = rows.Review(
+            self.frame_index, "reviewed" if self.observations else "reviewed, empty"
+        )
+        yield rows.RowChange(labels.reviews.get(self.frame_index), review)
 
 
 def _reviewed(frame_index: int, labels: Labels) -> rows.Review:

@@ -156,6 +156,20 @@ class DeclareAttribute:
 
 
 @dataclass(frozen=True)
+class CopyDeclarations:
+    """Declare classes and attributes as another label file does, with their ids."""
+
+    declared: tuple[rows.ClassDeclaration | rows.AttributeType, ...]
+    kind: Literal["copy declarations"] = "copy declarations"
+
+    def changes(self, labels: "Labels", rules: rows.Rules) -> Iterator[rows.RowChange]:
+        for row in self.declared:
+            before = labels.row(rows.row_key(row))
+            if before != row:
+                yield rows.RowChange(before, row)
+
+
+@dataclass(frozen=True)
 class SetAttribute:
     """Set an attribute of an element; None removes it."""
 

@@ -12,13 +12,12 @@ from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
 from types import TracebackType
-from typing import Literal
 
 from semviz_annotation.labels import rows
 from semviz_annotation.labels.edits import AnyEdit
 from semviz_annotation.labels.labels import Draft, Labels
 from semviz_annotation.labels.own_classes import check_classes
-from semviz_annotation.storage import placement, tables, teamwork
+from semviz_annotation.storage import closed_frames, placement, tables, teamwork
 from semviz_annotation.storage.conflicts import ConflictChecker
 from semviz_annotation.storage.declarations import free_class_id
 from semviz_annotation.storage.label_file import BackgroundCheck, Health, LabelFile, LabelFileError
@@ -33,7 +32,6 @@ from semviz_annotation.storage.operations import (
     Writer,
     sealed,
 )
-from semviz_annotation.storage.teamwork import AssignedFrames, Tally
 from semviz_core.base.camera import Rig
 from semviz_core.base.classes import (
     NEW_CENTER,
@@ -66,6 +64,8 @@ class LabelStore:
     def __init__(self, file: LabelFile, rig: Rig | None) -> None:
         self.path = file.path
         self.rig = rig
+        self.closed: closed_frames.WhyClosed = closed_frames.open_to_all
+        """Says why a frame takes no edit of a kind; see ``WhyClosed``."""
         self._file = file
         self._check: BackgroundCheck | None = None
 
@@ -195,14 +195,15 @@ class LabelStore:
         with self._file.reading():
             return placement.placing_operations(self._file.connection, observation_ids)
 
-    def teamwork(
-        self,
-    ) -> tuple[dict[int, Writer], dict[str, Tally], dict[str, list[AssignedFrames]]]:
-        """Return the last operations on reviews by frame, the work by author, assigned frames."""
+    def team(self) -> teamwork.Teamwork:
+        """Return what the log tells about the people who label."""
         with self._file.reading():
-            connection = self._file.connection
-            reviews, tallies = teamwork.review_writers(connection), teamwork.tallies(connection)
-            return reviews, tallies, teamwork.assignments(connection)
+            return teamwork.read_teamwork(self._file.connection)
+
+    def earlier_version(self, frame_index: int) -> Writer | None:
+        """Return the operation that left the version of a frame before the present one."""
+        with self._file.reading():
+            return teamwork.earlier_version(self._file.connection, frame_index)
 
     def free_class_id(self) -> int:
         """Return an id that no class ever had."""
@@ -350,9 +351,7 @@ class LabelStore:
 
         return self._commit(operation, "name", author, request_id)
 
-    def state(
-        self, kind: Literal["invite", "revoke", "assign"], text: str, author: str
-    ) -> Operation:
+    def state(self, kind: teamwork.Statement, text: str, author: str) -> Operation:
         """Write down what was done about people; it changes no row, and is not undone."""
 
         def operation(new: int, request_id: str) -> Operation:
@@ -404,6 +403,7 @@ class LabelStore:
                 raise ReplacedLogError
             operation = make(labels.operation + 1, request_id or rows.new_id())
             operation = sealed(operation, self._file.hash)
+            closed_frames.check_open(operation, self.closed, labels, connection)
             if operation.origin == "machine":
                 self._conflicts().check_machine(operation.changes)
             changed = labels.changed(operation.changes)

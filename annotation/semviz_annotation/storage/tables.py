@@ -35,7 +35,7 @@ from semviz_annotation.storage.operations import CHANGES, NO_HASH, Operation, Wr
 from semviz_core.base.classes import OLDER_CENTER, TriangleCenter
 from semviz_core.common.errors import SemvizError
 
-STATEMENTS = frozenset({"name", "invite", "revoke", "assign"})
+STATEMENTS = frozenset({"name", "invite", "revoke", "assign", "label twice", "label once"})
 """Kinds of operations that are no edits: they change no row, and are not undone."""
 
 

@@ -27,7 +27,8 @@ export class People {
 
   /** The others; empty while one labels alone. */
   get others() {
-    return this.known.filter(({ name }) => name !== this.state.workspace.author);
+    const { author, is_blind: isBlind } = this.state.workspace;
+    return isBlind ? [] : this.known.filter(({ name }) => name !== author);
   }
 
   show() {

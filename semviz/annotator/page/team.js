@@ -6,12 +6,17 @@
 /** @import {Page} from "./main.js" */
 /** @import {State} from "./state.js" */
 import { byId, el, svg } from "/static/dom.js";
+import { VirtualList } from "/static/virtual_list.js";
+import { Compared } from "./compared.js";
+import { Shares } from "./shares.js";
 import { TeamPicture } from "./team_picture.js";
 import { counted, spaced, uuid7 } from "./values.js";
 import { RenderCache, badge, capital, header, row } from "./widgets.js";
 
-/** @type {annotator.QueueEntry["state"][]} */
-const STATES = ["waiting", "sent back", "accepted"];
+/** @typedef {annotator.QueueEntry["state"] | "twice"} Listed */
+/** @type {Listed[]} */
+const LISTS = ["waiting", "sent back", "accepted", "twice"];
+const ROW_PX = 28;
 const REFRESH_MS = 1000;
 /** A time in a narrow column. @type {Intl.DateTimeFormatOptions} */
 const WHEN = { month: "numeric", day: "numeric", hour: "numeric", minute: "2-digit" };
@@ -29,20 +34,29 @@ export class Team {
     this.cache = new RenderCache(state);
     /** @type {annotator.TeamView | null} */
     this.known = null;
-    /** @type {annotator.QueueEntry["state"]} */
+    /** @type {Listed} */
     this.listed = "waiting"; // the part of the queue on screen
+    this.versions = false; // whether the version of the frame before is shown, too
     this.asked = -1; // the operation after which the team was requested
+    /** @type {unknown[]} */
+    this.shownQueue = []; // what the list was made of
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.timer = undefined;
     this.picture = new TeamPicture(state, page.pictures);
-    page.socket.on("team", ({ team }) => {
+    this.shares = new Shares(state, page);
+    this.compared = new Compared(state, page);
+    /** @type {annotator.QueueEntry[]} */
+    this.rows = [];
+    this.list = new VirtualList(byId("team-queue"), ROW_PX, (at) => this.#row(this.rows[at]));
+    page.socket.on("team", ({ team, shares }) => {
       this.known = team;
+      this.shares.known = shares;
       state.set({});
     });
     page.socket.on("people", () => { this.asked = -1; });
     byId("team-assign", HTMLFormElement).addEventListener("submit", (event) => this.#assign(event));
     byId("team-comment", HTMLFormElement).addEventListener("submit", (event) => this.#comment(event));
-    for (const id of ["team-frames", "team-comment-text"]) {
+    for (const id of ["team-frames", "team-comment-text", "twice-frames", "twice-percent"]) {
       byId(id).addEventListener("keydown", (event) => { if (event.key === "Escape") byId(id).blur(); });
     }
   }
@@ -65,6 +79,11 @@ export class Team {
     return this.known?.queue.find(({ frame }) => frame === this.state.frame) ?? null;
   }
 
+  /** Frames of the chosen list. */
+  get listedFrames() {
+    return this.listed === "twice" ? this.shares.ready : this.queue.map(({ frame }) => frame);
+  }
+
   entered() {
     this.asked = -1;
     this.state.set({});
@@ -79,10 +98,19 @@ export class Team {
     return [
       { key: ".", shift: true, view, group, row, title: "Next in the queue", run: () => this.step(1) },
       { key: ",", shift: true, view, group, row, title: "Previous in the queue", run: () => this.step(-1) },
-      { key: "Enter", view, group, title: "Accept the frame", run: () => this.accept() },
+      { key: "Enter", view, group, title: "Accept the frame; merge one that two people labelled", words: "merge", run: () => this.accept() },
       { key: "n", shift: true, view, group, title: "Send the frame back", words: "reject refuse", run: () => this.sendBack() },
       { key: "i", shift: true, view, group, title: "Pin a comment on an element", words: "note", run: () => byId("team-comment-text").focus() },
       { key: "g", shift: true, view, group, title: "Assign a range of frames", run: () => byId("team-frames").focus() },
+      { key: "t", shift: true, view, group, title: "Let two people label a share of frames, blind", words: "double twice agreement", run: () => byId("twice-frames").focus() },
+      { key: "j", shift: true, view, group, title: "The next frame labelled twice that is to be merged", words: "worst disagreement", run: () => this.nextTwice() },
+      { key: "v", view, group, title: "The version before beside the present one", words: "compare two versions conflict", run: () => this.toggleVersions() },
+      { key: "ArrowDown", view, group, row: "Next, previous element of two versions", title: "Next element of two versions", run: () => this.compared.step(1) },
+      { key: "ArrowUp", view, group, row: "Next, previous element of two versions", title: "Previous element of two versions", run: () => this.compared.step(-1) },
+      { key: "y", view, group, title: "Take the first person's label", run: () => this.compared.take("first") },
+      { key: "y", shift: true, view, group, title: "Take the second person's label", run: () => this.compared.take("second") },
+      { key: "m", view, group, title: "Take the mean of both labels", run: () => this.compared.take("mean") },
+      { key: "x", view, group, title: "Take neither label", run: () => this.compared.take("none") },
       { key: "Escape", view, group, title: "Back to the images", run: () => this.page.views.open("images") },
     ];
   }
@@ -92,15 +120,26 @@ export class Team {
    * @param {1 | -1} by
    */
   step(by) {
-    const { queue } = this;
-    if (!queue.length) return;
+    const { listedFrames: frames } = this;
+    if (!frames.length) return;
     const now = this.state.frame ?? -1;
-    const next = by > 0 ? queue.find(({ frame }) => frame > now) ?? queue[0] : queue.findLast(({ frame }) => frame < now) ?? queue[queue.length - 1];
-    this.page.go(next.frame);
+    this.page.go(by > 0 ? frames.find((frame) => frame > now) ?? frames[0] : frames.findLast((frame) => frame < now) ?? frames[frames.length - 1]);
+  }
+
+  nextTwice() {
+    this.listed = "twice";
+    this.state.set({});
+    this.step(1);
+  }
+
+  toggleVersions() {
+    this.versions = !this.versions;
+    this.state.set({});
   }
 
   accept() {
-    this.#decide("accept frame");
+    if (!this.compared.shown?.is_blind) this.#decide("accept frame");
+    else if (this.compared.merge()) this.step(1);
   }
 
   sendBack() {
@@ -156,17 +195,49 @@ export class Team {
     this.#refresh();
     const { known, cache, state } = this;
     const { frame } = state;
-    byId("team-assign").hidden = !this.mayReview;
-    cache.show("team-people", [known?.people, this.page.people.known], () => this.#people());
-    cache.show("team-person", known?.people.map(({ name }) => name), () => known?.people.map(({ name }) => el("option", { value: name, text: name })) ?? []);
+    for (const id of ["team-assign", "team-twice"]) byId(id).hidden = !this.mayReview;
+    const isReady = frame !== null && this.shares.ready.includes(frame);
+    this.compared.ask(this.mayReview && (isReady || this.versions) ? frame : null, state.labels.operation);
+    cache.show("team-people", [known?.people, known?.reviewed, known?.done_on, this.shares.known, this.page.people.known, state.connected], () => this.#people());
+    for (const id of ["team-person", "twice-first", "twice-second"]) {
+      const before = byId(id, HTMLSelectElement).value;
+      cache.show(id, known?.people.map(({ name }) => name), () => known?.people.map(({ name }, at) => el("option", { value: name, text: name, selected: name === before || (!before && id === "twice-second" && at === 1) ? "" : null })) ?? []);
+    }
     cache.show("team-chips", [known?.queue.length, this.listed, this.#counts()], () => this.#chips());
-    cache.show("team-queue", [this.queue, frame], () => this.#queue());
-    cache.show("team-head", [this.entry, frame], () => this.#head());
+    this.#showQueue();
+    cache.show("team-head", [this.entry, frame, this.versions, this.compared.shown], () => this.#head());
     cache.show("team-notes", [this.entry], () => this.#notes());
     const names = state.elements.map(({ id, name }) => ({ id, name }));
     cache.show("team-element", names, () => names.map(({ id, name }) => el("option", { value: id, text: name })));
-    cache.show("team-hints", 0, () => this.#hints());
+    cache.show("team-hints", this.compared.shown?.is_blind ? this.compared.shown.people : 0, () => this.#hints());
+    this.compared.show();
     this.picture.show(frame, this.entry);
+  }
+
+  /** Shows the chosen list: thousands of frames, of which those in sight are in the page. */
+  #showQueue() {
+    const { listed, known, state } = this;
+    const shown = [known, listed, state.theme, listed === "twice" ? state.frame : 0];
+    if (shown.some((value, at) => value !== this.shownQueue[at])) {
+      this.shownQueue = shown;
+      this.rows = listed === "twice" ? [] : this.queue;
+      const top = byId("team-queue").scrollTop;
+      this.list.show(this.rows.length);
+      if (!this.rows.length) byId("team-queue").replaceChildren(...this.#instead());
+      byId("team-queue").scrollTop = top;
+    }
+    this.list.mark(this.rows.findIndex(({ frame }) => frame === state.frame));
+  }
+
+  /** What the list shows without rows.
+   *
+   * @returns {Node[]}
+   */
+  #instead() {
+    if (this.listed === "twice") return /** @type {Node[]} */ (this.shares.rows());
+    const [, , accepted] = this.#counts();
+    const text = this.known === null ? "Reading …" : this.listed === "waiting" ? `Nothing waits. ${accepted} accepted.` : `No frame is ${this.listed}.`;
+    return [el("p", { class: "dim team-text", text })];
   }
 
   /** Asks for the work of all, at most once a second, after the labels changed. */
@@ -182,7 +253,7 @@ export class Team {
   }
 
   #counts() {
-    return STATES.map((state) => this.known?.queue.filter((entry) => entry.state === state).length ?? 0);
+    return LISTS.map((list) => (list === "twice" ? this.shares.ready.length : this.known?.queue.filter(({ state }) => state === list).length ?? 0));
   }
 
   /** @returns {Child[]} */
@@ -190,7 +261,8 @@ export class Team {
     const { known } = this;
     if (!known) return [el("p", { class: "dim team-text", text: "Reading …" })];
     const count = this.state.order.length;
-    const about = known.people.length > 1 ? `${spaced(count)} frames, ${known.people.length} people` : "";
+    const pace = known.done_on ? `; at this pace done on ${day(known.done_on)}` : "";
+    const about = `${spaced(known.reviewed)} of ${counted(count, "frame")} reviewed${pace}`;
     const alone = `You label alone. In a terminal: semviz annotate ${this.state.workspace.name} --invite NAME makes an address to send.`;
     return [
       header("Who has what", about),
@@ -200,22 +272,23 @@ export class Team {
   }
 
   /** @param {annotator.TeamPerson} person */
-  #person({ name, ranges, assigned, reviewed, pace, edits, last }) {
-    const here = this.page.people.known.find((one) => one.name === name)?.frames ?? [];
+  #person({ name, ranges, assigned, reviewed, pace, edits, last, done_on: done }) {
+    const here = this.state.connected ? this.page.people.known.find((one) => one.name === name)?.frames ?? [] : [];
     const isMe = name === this.state.workspace.author;
     const where = here.length ? `frame ${here.join(", ")}` : last ? `last edit ${new Date(last).toLocaleString([], WHEN)}` : "away";
     return el("div", { class: isMe ? "team-person chosen" : "team-person" },
       el("div", { class: "team-name" }, el("b", { text: isMe ? `${name}, you` : name }), el("span", { class: "dim", text: where })),
-      el("div", { class: "team-done" }, el("b", { text: assigned ? `${reviewed} / ${assigned}` : `${reviewed}` }), el("span", { class: "dim", text: `${spaced(edits)} ${edits === 1 ? "edit" : "edits"}, ${pace} in 8 h` })),
-      this.#bar(ranges, here));
+      el("div", { class: "team-done" }, el("b", { text: assigned ? `${reviewed} / ${assigned}` : `${reviewed}` }), el("span", { class: "dim", text: done ? `${pace} in 8 h, done ${day(done)}` : `${counted(edits, "edit")}, ${pace} in 8 h` })),
+      this.#bar(ranges, here, this.shares.of(name)));
   }
 
-  /** Assigned frames, how many of them are reviewed, and where somebody is.
+  /** Assigned frames, how many of them are reviewed, those labelled blind, and where somebody is.
    *
    * @param {[number, number][]} ranges
    * @param {number[]} here
+   * @param {number[]} twice frames that this person labels blind
    */
-  #bar(ranges, here) {
+  #bar(ranges, here, twice) {
     const { order, labels } = this.state;
     const places = new Map(order.map((index, place) => [index, place]));
     const inside = (/** @type {number} */ index) => ranges.some(([first, last]) => index >= first && index <= last);
@@ -225,42 +298,44 @@ export class Team {
     return svg("svg", { class: "team-bar", viewBox: `0 0 ${Math.max(order.length, 1)} 12`, preserveAspectRatio: "none" },
       svg("rect", { class: "track", x: 0, y: 5.5, width: order.length, height: 1 }),
       ...cells.map(({ index, state }) => rect(index, state.startsWith("reviewed") ? "done" : state === "in work" ? "work" : "open")),
+      ...twice.map((index) => svg("rect", { class: "twice", x: (places.get(index) ?? 0) + 0.25, y: 0.5, width: 0.5, height: 11 })),
       ...here.map((index) => svg("rect", { class: "here", x: places.get(index) ?? 0, y: 0, width: Math.max(1, order.length / 200), height: 12 })));
   }
 
   #chips() {
     const counts = this.#counts();
-    return STATES.map((state, at) => el("button", { class: "chip", "aria-pressed": String(state === this.listed), onclick: () => {
-      this.listed = state;
+    return LISTS.map((list, at) => el("button", { class: "chip", "aria-pressed": String(list === this.listed), onclick: () => {
+      this.listed = list;
+      byId("team-queue").scrollTop = 0;
       this.state.set({});
-    } }, `${capital(state)} `, el("b", { text: counts[at] })));
+    } }, `${capital(list)} `, el("b", { text: counts[at] })));
   }
 
-  /** @returns {Child[]} */
-  #queue() {
-    const [, , accepted] = this.#counts();
-    if (!this.queue.length) {
-      const text = this.listed === "waiting" ? `Nothing waits. ${accepted} accepted.` : `No frame is ${this.listed}.`;
-      return [el("p", { class: "dim team-text", text })];
-    }
-    return this.queue.map(({ frame, person, elements, stands_out: what, notes, time }) =>
-      row({ chosen: frame === this.state.frame, onclick: () => this.page.go(frame) },
-        el("b", { class: "team-frame", text: frame }), el("span", { class: "team-who", text: person }), el("span", { class: "dim team-count", text: elements }),
-        el("span", { class: "fill" }, what ? el("span", { class: "warning", text: "◆ " }) : null, what || "–"),
-        notes.length ? el("span", { text: counted(notes.length, "comment") }) : null,
-        el("span", { class: "dim", title: time, text: new Date(time).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" }) })));
+  /** @param {annotator.QueueEntry} entry */
+  #row({ frame, person, elements, stands_out: what, notes, time }) {
+    return row({ onclick: () => this.page.go(frame) },
+      el("b", { class: "team-frame", text: frame }), el("span", { class: "team-who", text: person }), el("span", { class: "dim team-count", text: elements }),
+      el("span", { class: "fill" }, what ? el("span", { class: "warning", text: "◆ " }) : null, what || "–"),
+      notes.length ? el("span", { text: counted(notes.length, "comment") }) : null,
+      el("span", { class: "dim", title: time, text: new Date(time).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" }) }));
   }
 
   /** @returns {Child[]} */
   #head() {
     const { entry, keys } = this;
     const { frame } = this.state;
-    if (!entry) return [el("h2", { text: `Frame ${frame}` }), el("span", { class: "about", text: "not in the queue: not reviewed yet" })];
+    const { shown } = this.compared;
+    if (shown?.is_blind) {
+      return [el("h2", { text: `Frame ${frame}` }), el("span", { class: "about", text: `labelled twice: ${shown.people.join(" and ")}` }),
+        el("button", { class: "small push", onclick: () => this.accept() }, "Merge ", badge(keys, "Enter"))];
+    }
+    const versions = this.mayReview ? el("button", { class: "small push", "aria-pressed": String(this.versions), onclick: () => this.toggleVersions() }, "Two versions ", badge(keys, "V")) : null;
+    if (!entry) return [el("h2", { text: `Frame ${frame}` }), el("span", { class: "about", text: "not in the queue: not reviewed yet" }), versions];
     const buttons = entry.state === "waiting" && this.mayReview ? [
-      el("button", { class: "small push", onclick: () => this.accept() }, "Accept ", badge(keys, "Enter")),
+      el("button", { class: "small", onclick: () => this.accept() }, "Accept ", badge(keys, "Enter")),
       el("button", { class: "small", onclick: () => this.sendBack() }, "Send back ", badge(keys, "Shift N")),
-    ] : [el("span", { class: "push dim", text: entry.state })];
-    return [el("h2", { text: `Frame ${frame}` }), el("span", { class: "about", text: `${entry.person}, ${entry.elements} elements` }), ...buttons];
+    ] : [el("span", { class: "dim", text: entry.state })];
+    return [el("h2", { text: `Frame ${frame}` }), el("span", { class: "about", text: `${entry.person}, ${counted(entry.elements, "element")}` }), versions, ...buttons];
   }
 
   /** @returns {Child[]} */
@@ -277,6 +352,22 @@ export class Team {
 
   #hints() {
     const hint = (/** @type {string[]} */ names, /** @type {string} */ text) => el("span", { class: "hint" }, ...names.map((name) => badge(this.keys, name)), ` ${text}`);
-    return [hint(["Shift ."], "next in the queue"), hint(["Enter"], "accept"), hint(["Shift N"], "send back"), hint(["Shift I"], "pin a comment"), hint(["Shift G"], "assign frames"), hint(["F2"], "open in Images")];
+    const { shown } = this.compared;
+    if (shown?.is_blind) {
+      const [first, second] = shown.people;
+      return [hint(["ArrowDown"], "next element"), hint(["Y"], first), hint(["Shift Y"], second), hint(["M"], "mean"), hint(["X"], "neither"), hint(["Enter"], "merge"), hint(["Shift J"], "next labelled twice")];
+    }
+    return [hint(["Shift ."], "next in the queue"), hint(["Enter"], "accept"), hint(["Shift N"], "send back"), hint(["Shift I"], "pin a comment"), hint(["V"], "two versions"), hint(["Shift G"], "assign frames"), hint(["Shift T"], "label twice"), hint(["F2"], "open in Images")];
   }
+}
+
+/** A day as people say it: a weekday within a week, else a date.
+ *
+ * @param {string} iso
+ */
+function day(iso) {
+  const [year, month, date] = iso.split("-").map(Number);
+  const then = new Date(year, month - 1, date);
+  const isSoon = then.getTime() - Date.now() < 6 * 86_400_000;
+  return then.toLocaleDateString([], isSoon ? { weekday: "long" } : { day: "numeric", month: "short" });
 }

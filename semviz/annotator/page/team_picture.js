@@ -18,6 +18,7 @@ export class TeamPicture {
     /** @type {ImageBitmap | null} */
     this.bitmap = null;
     this.frame = -1; // whose image it is
+    this.message = "";
     /** @type {annotator.QueueEntry | null} */
     this.entry = null;
     this.surface = new Surface(byId("team-picture", HTMLCanvasElement), (context, width, height) => this.#draw(context, width, height));
@@ -36,9 +37,13 @@ export class TeamPicture {
   /** @param {number} frame */
   async #load(frame) {
     this.frame = frame;
-    const { bitmap } = await this.pictures.get(frame, "left");
+    this.bitmap = null;
+    this.message = "Loading the image …";
+    const { bitmap, message } = await this.pictures.get(frame, "left");
     if (frame !== this.frame) return;
     this.bitmap = bitmap;
+    this.message = message;
+    if (!bitmap) this.frame = -1; // asked for again when the page changes, for example reconnects
     this.surface.redraw();
   }
 
@@ -49,11 +54,13 @@ export class TeamPicture {
    */
   #draw(context, width, height) {
     const { bitmap, state } = this;
+    if (!bitmap) drawText(context, this.message, width / 2, height / 2, { align: "center" });
     if (!bitmap || this.frame !== state.frame) return;
     const scale = Math.min(width / bitmap.width, height / bitmap.height);
     const left = (width - scale * bitmap.width) / 2, top = 0;
     context.drawImage(bitmap, left, top, scale * bitmap.width, scale * bitmap.height);
     const at = (/** @type {[number, number]} */ [u, v]) => /** @type {[number, number]} */ ([left + scale * (u + 0.5), top + scale * (v + 0.5)]);
+    const names = [];
     for (const element of state.elements) {
       const mark = element.observations.left;
       if (!mark || state.isHidden(element)) continue;
@@ -62,7 +69,31 @@ export class TeamPicture {
       if (mark.end) drawLine(context, [x, y], at(mark.end), kind.color);
       else drawGlyph(context, kind.shape, x, y, 7, kind.color);
       const notes = this.entry?.notes.filter(({ element: id }) => id === element.id) ?? [];
-      drawText(context, notes.length ? `${element.name} · ${notes.length}` : element.name, x + 8, y - 8, { color: notes.length ? "#F5C542" : "#FFFFFF" });
+      names.push({ text: notes.length ? `${element.name} · ${notes.length}` : element.name, x, y, color: notes.length ? "#F5C542" : "#FFFFFF" });
     }
+    drawNames(context, names.sort((a, b) => Number(b.color !== "#FFFFFF") - Number(a.color !== "#FFFFFF")), width);
+  }
+}
+
+const NAME_PX = 13; // height of a name
+
+/** Draws names beside their marks where none lies on another; where there is no room, none.
+ *
+ * @param {CanvasRenderingContext2D} context
+ * @param {{text: string, x: number, y: number, color: string}[]} names the most important first
+ * @param {number} width of the picture
+ */
+export function drawNames(context, names, width) {
+  /** @type {[number, number, number][]} left, middle, width */
+  const taken = [];
+  for (const { text, x, y, color } of names) {
+    drawText(context, "", 0, 0); // sets the font that is measured
+    const long = context.measureText(text).width;
+    const places = [[x + 8, y - 8], [x + 8, y + 9], [x - 8 - long, y - 8], [x - 8 - long, y + 9], [x + 8, y - 22], [x - 8 - long, y - 22]];
+    const free = places.find(([left, middle]) => left >= 0 && left + long <= width && middle >= NAME_PX / 2
+      && taken.every(([other, at, size]) => left > other + size + 3 || left + long + 3 < other || Math.abs(middle - at) > NAME_PX));
+    if (!free) continue;
+    taken.push([free[0], free[1], long]);
+    drawText(context, text, free[0], free[1], { color });
   }
 }

@@ -78,7 +78,9 @@ export class Views {
 
   /** Marks the tab; called whenever the state of the page changes. */
   show() {
-    const { view } = this.state;
+    const { view, workspace } = this.state;
+    byId("tab-team").hidden = workspace.is_blind;
+    byId("blind").hidden = !workspace.is_blind;
     for (const one of VIEWS) {
       byId(`tab-${one}`).setAttribute("aria-current", String(one === view));
       if (one === "images") continue;

@@ -64,6 +64,21 @@ export interface AddObservation {
   kind: "add";
 }
 
+/** How the labels of two people agree, in frames that both have reviewed. */
+export interface AgreementView {
+  frames: number;
+  elements: number;
+  both: number;
+  missed: [number, number];
+  other_class: number;
+  labels: number;
+  same_ends: number;
+  identical: number;
+  pole_angle_deg: Array<number>;
+  pole_px: Array<number>;
+  sign_px: Array<number>;
+}
+
 /** Move the labels of an element to where its labels in the frame on screen put them. */
 export interface AlignLabelsEdit {
   kind: "align labels";
@@ -82,7 +97,7 @@ export interface AnswerView {
 export interface ApplyEditRequest {
   type: "apply_edit";
   id: string;
-  edit: DrawEdit | AcceptEdit | AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit | AlignLabelsEdit | NoteEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | ReSnap | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | SetClassOfViews | SetAttribute | ReviewFrame | AcceptFrame | SendBackFrame | DecideElements | RevokeDecision | DeleteNote;
+  edit: DrawEdit | AcceptEdit | MergeFrameEdit | AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit | AlignLabelsEdit | NoteEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | ReSnap | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | SetClassOfViews | SetAttribute | ReviewFrame | AcceptFrame | SendBackFrame | DecideElements | RevokeDecision | DeleteNote;
   base?: EditBase | null;
 }
 
@@ -92,6 +107,15 @@ export interface AssignFramesRequest {
   id: string;
   person: string;
   frames: [number, number] | null;
+}
+
+/** Let two people label a share of a range of frames, each without seeing the other's labels. */
+export interface AssignShareRequest {
+  type: "assign_share";
+  id: string;
+  frames: [number, number];
+  percent: number;
+  people: [string, string];
 }
 
 /** What the values of an attribute are; those of attributes without one are texts. */
@@ -145,6 +169,36 @@ export interface ChoosePosesRequest {
 export interface CloseReviewRequest {
   type: "close_review";
   id: string;
+}
+
+/** One element of a frame, as two people labelled it. */
+export interface ComparedElement {
+  id: string;
+  names: [string, string];
+  classes: [number | null, number | null];
+  views: Array<ComparedView>;
+  apart: string;
+}
+
+/** Two versions of a frame, what differs most first. */
+export interface ComparedEvent {
+  type: "compared";
+  reply_to: string | null;
+  frame: number;
+  people: [string, string];
+  times: [string, string];
+  is_blind: boolean;
+  elements: Array<ComparedElement>;
+}
+
+/** One element in one image, as two people labelled it, and the mean if there is one. */
+export interface ComparedView {
+  side: "left" | "right";
+  first: ObservationView | null;
+  second: ObservationView | null;
+  mean: ObservationView | null;
+  px: number | null;
+  angle_deg: number | null;
 }
 
 /** An edit would overwrite what others did since; it is applied if it knows ``overwritten``. */
@@ -424,6 +478,13 @@ export interface ElementView {
   attributes: Record<string, string>;
 }
 
+/** Let these frames be labelled as all others again. */
+export interface EndShareRequest {
+  type: "end_share";
+  id: string;
+  number: number;
+}
+
 /** An element that a decision or finding is about, from labels or map. */
 export interface EntryElement {
   id: string | null;
@@ -575,6 +636,13 @@ export interface MapSummary {
   failure: string;
 }
 
+/** Take labels for a frame that two people labelled blind, as the page showed them. */
+export interface MergeFrameEdit {
+  kind: "merge frame";
+  frame_index: number;
+  marks: Array<DrawnMark>;
+}
+
 /** The nearest element of the same class that no image shows together with this one. */
 export interface MergeOffer {
   id: string;
@@ -651,6 +719,12 @@ export interface ObservationView {
   end_known: boolean;
   frame: number;
   side: "left" | "right";
+}
+
+/** Request the address where one labels one's own frames blind. */
+export interface OpenShareRequest {
+  type: "open_share";
+  id: string;
 }
 
 /** One line of the history, and the frame it changed. */
@@ -1015,6 +1089,31 @@ export interface SetThemeRequest {
   theme: "dark" | "light";
 }
 
+/** Where one labels one's own frames blind. */
+export interface ShareOpenedEvent {
+  type: "share_opened";
+  reply_to: string | null;
+  address: string;
+}
+
+/** Frames that two people label blind. */
+export interface ShareView {
+  number: number;
+  people: [string, string];
+  frames: Array<number>;
+  reviewed: [number, number];
+  ready: Array<number>;
+  merged: number;
+  agreement: AgreementView | null;
+}
+
+/** Request two versions of a frame: of two people who labelled it blind, or earlier and now. */
+export interface ShowComparedRequest {
+  type: "show_compared";
+  id: string;
+  frame: number;
+}
+
 /** Request matches and edges of the images of a frame; a ``drive_frame`` event follows. */
 export interface ShowDriveFrameRequest {
   type: "show_drive_frame";
@@ -1139,6 +1238,7 @@ export interface TeamEvent {
   type: "team";
   reply_to: string | null;
   team: TeamView;
+  shares: Array<ShareView>;
 }
 
 /** One person's share of the work. */
@@ -1150,12 +1250,15 @@ export interface TeamPerson {
   pace: number;
   edits: number;
   last: string;
+  done_on: string;
 }
 
 /** The work of all. */
 export interface TeamView {
   people: Array<TeamPerson>;
   queue: Array<QueueEntry>;
+  reviewed: number;
+  done_on: string;
 }
 
 /** One element, as of an operation. */
@@ -1305,6 +1408,7 @@ export interface WorkspaceView {
   images: Partial<Record<"left" | "right", ImageSize>>;
   has_right: boolean;
   cameras: Array<string>;
+  is_blind: boolean;
 }
 
 /** The label furthest from the projection of its element. */
@@ -1316,17 +1420,21 @@ export interface WorstLabel {
 export interface Requests {
   apply_edit: ApplyEditRequest;
   assign_frames: AssignFramesRequest;
+  assign_share: AssignShareRequest;
   build_map: BuildMapRequest;
   choose_poses: ChoosePosesRequest;
   close_review: CloseReviewRequest;
+  end_share: EndShareRequest;
   go_to_frame: GoToFrameRequest;
   list_named_states: ListNamedStatesRequest;
   list_operations: ListOperationsRequest;
+  open_share: OpenShareRequest;
   preview_draft: PreviewDraftRequest;
   preview_resnap: PreviewReSnapRequest;
   search_track: SearchTrackRequest;
   set_backdrop: SetBackdropRequest;
   set_theme: SetThemeRequest;
+  show_compared: ShowComparedRequest;
   show_drive: ShowDriveRequest;
   show_drive_frame: ShowDriveFrameRequest;
   show_past_frame: ShowPastFrameRequest;
@@ -1341,6 +1449,7 @@ export interface Requests {
 
 export interface Events {
   backdrop: BackdropEvent;
+  compared: ComparedEvent;
   draft_preview: DraftPreviewEvent;
   drive: DriveEvent;
   drive_frame: DriveFrameEvent;
@@ -1362,6 +1471,7 @@ export interface Events {
   review: ReviewEvent;
   saved_operation: SavedOperationEvent;
   scene: SceneEvent;
+  share_opened: ShareOpenedEvent;
   team: TeamEvent;
   track: TrackEvent;
   track_proposals: TrackProposalsEvent;

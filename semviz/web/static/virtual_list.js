@@ -19,7 +19,6 @@ export class VirtualList {
     this.current = -1;
     this.first = 0;
     this.end = 0;
-    this.paddingPx = 0;
     box.addEventListener("scroll", () => this.update());
     new ResizeObserver(() => this.update()).observe(box);
   }
@@ -68,8 +67,9 @@ export class VirtualList {
     const rows = Array.from({ length: end - first }, (_, at) => this.make(first + at));
     this.box.replaceChildren(...rows);
     this.row(this.current)?.setAttribute("aria-current", "true");
-    this.box.style.paddingTop = `${first * this.rowPx}px`;
-    this.box.style.paddingBottom = `${(this.count - end) * this.rowPx}px`;
+    if (!rows.length) return;
+    rows[0].style.marginTop = `${first * this.rowPx}px`; // padding of the box would make the box itself as tall
+    rows[rows.length - 1].style.marginBottom = `${(this.count - end) * this.rowPx}px`;
   }
 }
 
