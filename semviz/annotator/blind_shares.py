@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from semviz.workspace.blind import blind_workspace
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.agreement import (
-    Agreement,
     ElementPair,
+    LabelAgreement,
     agreement_in,
     changed_in,
     pairs_in,
@@ -21,7 +21,7 @@ from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.rows import REVIEWED
 from semviz_annotation.storage.closed_frames import WhyClosed
 from semviz_annotation.storage.store import LabelStore
-from semviz_annotation.storage.teamwork import Share, share_text
+from semviz_annotation.storage.teamwork import BlindShare, share_text
 from semviz_core.common.errors import SemvizError
 
 
@@ -35,7 +35,7 @@ def chosen_frames(candidates: Sequence[int], percent: float) -> tuple[int, ...]:
 class ShareProgress:
     """How far two people are with their frames."""
 
-    share: Share
+    share: BlindShare
     reviewed: tuple[int, int]
     """Frames that the first, and the second, has reviewed."""
     both: tuple[int, ...]
@@ -66,7 +66,7 @@ class BlindShares:
         self._store = store
         self._order = tuple(order)
         self._readers: dict[str, LabelStore] = {}
-        self._shares: Mapping[int, Share] = {}
+        self._shares: Mapping[int, BlindShare] = {}
         self.follow()
 
     def follow(self) -> None:
@@ -83,12 +83,12 @@ class BlindShares:
             reader.close()
 
     @property
-    def all(self) -> list[Share]:
+    def all(self) -> list[BlindShare]:
         return list({share.number: share for share in self._shares.values()}.values())
 
     def assign(
         self, frames: tuple[int, int], percent: float, people: tuple[str, str], author: str
-    ) -> Share:
+    ) -> BlindShare:
         """Let two people label a share of a range of frames.
 
         Frames that have labels or a review, or are labelled twice already, are not chosen. Raise
@@ -114,7 +114,7 @@ class BlindShares:
         chosen = chosen_frames(free, percent)
         operation = self._store().state("label twice", share_text(people, chosen), author)
         self.follow()
-        return Share(operation.number, people, chosen)
+        return BlindShare(operation.number, people, chosen)
 
     def end(self, number: int, author: str) -> None:
         """End a share: its frames take labels again; what was labelled stays in both files."""
@@ -123,10 +123,10 @@ class BlindShares:
         self._store().state("label once", str(number), author)
         self.follow()
 
-    def of_person(self, name: str) -> list[Share]:
+    def of_person(self, name: str) -> list[BlindShare]:
         return [share for share in self.all if name in share.people]
 
-    def progress(self, share: Share) -> ShareProgress:
+    def progress(self, share: BlindShare) -> ShareProgress:
         """Return how far two people are."""
         first, second = (self.labels_of(name) for name in share.people)
         labels = self._store().labels
@@ -138,7 +138,7 @@ class BlindShares:
             frozenset(i for i in share.frames if not _is_untouched(i, labels)),
         )
 
-    def agreement(self, progress: ShareProgress) -> Agreement:
+    def agreement(self, progress: ShareProgress) -> LabelAgreement:
         """Return how two people agree, in the frames that both have reviewed."""
         return agreement_in(progress.both, *map(self.labels_of, progress.share.people))
 
@@ -192,11 +192,11 @@ class BlindShares:
             return f"{first} and {second} label frame {frame_index} blind, until it is merged"
         return ""
 
-    def _both_reviewed(self, frame_index: int, share: Share) -> bool:
+    def _both_reviewed(self, frame_index: int, share: BlindShare) -> bool:
         return all(_is_reviewed(frame_index, self.labels_of(name)) for name in share.people)
 
 
-def _not_compared(frame_index: int, share: Share | None) -> str:
+def _not_compared(frame_index: int, share: BlindShare | None) -> str:
     if share is None:
         return f"frame {frame_index} is not labelled twice"
     return f"{share.people[0]} and {share.people[1]} have not both reviewed frame {frame_index}"

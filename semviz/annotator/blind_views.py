@@ -8,7 +8,7 @@ from semviz.annotator.blind_shares import BlindShares, ShareProgress
 from semviz.annotator.team_view import AssignedFrame, TeamView
 from semviz.annotator.views import ObservationView, label_element_name, observation_view
 from semviz.web.protocol import Event, Part, Request
-from semviz_annotation.labels.agreement import Agreement, ElementPair, ViewPair, mean_label
+from semviz_annotation.labels.agreement import ElementPair, LabelAgreement, ViewPair, mean_label
 from semviz_core.base.classes import ClassSet
 from semviz_core.base.frame import Side
 
@@ -161,7 +161,7 @@ def _share_view(progress: ShareProgress, shares: BlindShares, reviews: bool) -> 
     )
 
 
-def agreement_view(agreement: Agreement) -> AgreementView:
+def agreement_view(agreement: LabelAgreement) -> AgreementView:
     """Return the figures of an agreement; angles in degrees."""
     poles, signs = agreement.distances(True), agreement.distances(False)
     px = [*poles[:, 0], *signs[:, 0]]

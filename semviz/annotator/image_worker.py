@@ -39,6 +39,11 @@ THUMBNAIL_WIDTH_PX = 128
 FAST = 1
 """PNG compression level: a third larger than level 6, five times as fast."""
 
+_JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
+_PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
+_PNG_KIND, _GREY_OR_RGB = slice(24, 26), (b"\x08\x00", b"\x08\x02")
+"""Where a PNG says its bits a channel and its kind of colours (11.2.2 IHDR), 8 bits of each."""
+
 Key = tuple[int, str]
 T = TypeVar("T")
 
@@ -76,7 +81,7 @@ class Images:
         camera = self._source.rig.left if side == "left" else self._source.rig.right
         data = limits.read_limited(path, limits.MOST_IMAGE_BYTES)
         is_plain = camera is not None and limits.image_size(data) == (camera.width, camera.height)
-        return path if is_plain and limits.is_plain_image(data) else None
+        return path if is_plain and _is_plain(data) else None
 
     def thumbnail(self, index: int) -> "Future[bytes]":
         """Return the left image as a small JPEG."""
@@ -103,6 +108,19 @@ class Images:
         height = round(image.shape[0] * THUMBNAIL_WIDTH_PX / image.shape[1])
         small = cv2.resize(image, (THUMBNAIL_WIDTH_PX, height), interpolation=cv2.INTER_AREA)
         return _encode(".jpg", small.astype(image.dtype), cv2.IMWRITE_JPEG_QUALITY, 82)
+
+
+def _is_plain(data: bytes) -> bool:
+    """Whether a browser decodes a whole JPEG, or a whole PNG of 8 bits, to the pixels of semviz.
+
+    Not so a PNG with transparency, a palette, or an orientation of its own.
+    """
+    if data.startswith(_JPEG_START):
+        return data.rstrip(b"\0").endswith(_JPEG_END)
+    is_whole = data.startswith(_PNG_START) and data.endswith(_PNG_END)
+    before_pixels = data[: data.find(b"IDAT")]
+    is_opaque = data[_PNG_KIND] in _GREY_OR_RGB and b"tRNS" not in before_pixels
+    return is_whole and is_opaque and b"eXIf" not in data
 
 
 class _FutureCache(Generic[T]):

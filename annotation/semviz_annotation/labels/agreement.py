@@ -217,7 +217,7 @@ def _known(row: Observation) -> tuple[bool, bool]:
 
 
 @dataclass(frozen=True)
-class Agreement:
+class LabelAgreement:
     """The labels of two people in several frames."""
 
     frames: int
@@ -253,7 +253,7 @@ class Agreement:
         return np.array(found, dtype=float).reshape(-1, 2)
 
 
-def agreement_in(frames: Sequence[int], first: Labels, second: Labels) -> Agreement:
+def agreement_in(frames: Sequence[int], first: Labels, second: Labels) -> LabelAgreement:
     """Return how two people labelled these frames."""
     pairs = (pair for frame in frames for pair in pairs_in(frame, first, second))
-    return Agreement(len(frames), tuple(pairs))
+    return LabelAgreement(len(frames), tuple(pairs))

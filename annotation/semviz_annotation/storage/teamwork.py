@@ -29,7 +29,7 @@ class Tally(NamedTuple):
     """Time of the last edit: UTC, ISO 8601."""
 
 
-class Share(NamedTuple):
+class BlindShare(NamedTuple):
     """Frames that two people label, neither seeing the other's labels."""
 
     number: int
@@ -47,7 +47,7 @@ class Teamwork(NamedTuple):
     """The work of each author."""
     assigned: dict[str, list[AssignedFrames]]
     """The ranges of each person, in the order in which they were assigned."""
-    shares: list[Share]
+    shares: list[BlindShare]
     """Those that were not ended."""
 
 
@@ -104,9 +104,9 @@ def share_text(people: tuple[str, str], frames: Iterable[int]) -> str:
     return f"{','.join(map(str, sorted(frames)))} by {' | '.join(people)}"
 
 
-def read_shares(connection: sqlite3.Connection) -> list[Share]:
+def read_shares(connection: sqlite3.Connection) -> list[BlindShare]:
     """Return the shares that were not ended, in the order in which they were assigned."""
-    found: dict[int, Share] = {}
+    found: dict[int, BlindShare] = {}
     for number, kind, text in connection.execute(
         "SELECT number, kind, text FROM operations WHERE kind IN ('label twice', 'label once') "
         "ORDER BY number"
@@ -115,7 +115,7 @@ def read_shares(connection: sqlite3.Connection) -> list[Share]:
             found.pop(int(text), None)
             continue
         frames, first, second = _parsed_share(text)
-        found[number] = Share(number, (first, second), frames)
+        found[number] = BlindShare(number, (first, second), frames)
     return list(found.values())
 
 

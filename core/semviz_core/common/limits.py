@@ -191,9 +191,8 @@ MOST_TENSOR_BYTES = 4 * 2**30
 """Of a file of weights, or of a backdrop."""
 _MOST_KEY_PARTS, _TOML_KEY_END = 20, re.compile(r"[,={}\[\]\n]")
 _JPEG_START, _PNG_START = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
-_JPEG_END, _PNG_END = b"\xff\xd9", b"IEND\xaeB`\x82"
 _PNG_DEPTH = 24
-"""Where a PNG says its bits a channel, and then whether it has colours."""
+"""Where a PNG says its bits a channel."""
 _JPEG_SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 """Markers of segments that hold a JPEG's size (ITU-T T.81, table B.1)."""
 _JPEG_BARE = {0x01, *range(0xD0, 0xD9)}
@@ -334,20 +333,6 @@ def _jpeg_size(data: bytes) -> tuple[int, int] | None:
             return width, height
         place += 2 + max(length, 2)
     return None
-
-
-def is_plain_image(data: bytes) -> bool:
-    """Whether others decode a whole JPEG, or a whole PNG of 8 bits, to what ``decode_image`` does.
-
-    Not so a PNG with transparency, a palette, or an orientation of its own.
-    """
-    if data.startswith(_JPEG_START):
-        return data.rstrip(b"\0").endswith(_JPEG_END)
-    is_rgb = data[_PNG_DEPTH : _PNG_DEPTH + 2] in (b"\x08\x00", b"\x08\x02")
-    if not (is_rgb and data.startswith(_PNG_START) and data.endswith(_PNG_END)):
-        return False
-    head = data[: data.find(b"IDAT")]
-    return _chunks_fit(data) and b"tRNS" not in head and b"eXIf" not in data
 
 
 def check_image_size(data: bytes, where: object) -> tuple[int, int]:
