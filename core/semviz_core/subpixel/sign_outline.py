@@ -334,12 +334,9 @@ def _outside_borders(image: SampledImage, inner: Sequence[Outline]) -> list[Outl
 
 @compiled
 def _grown(
-    unit_points: FloatArray,
-    unit_normals: FloatArray,
-    middle: FloatArray,
-    half: FloatArray,
+    unit_points: FloatArray, unit_normals: FloatArray, middle: FloatArray, half: FloatArray,
     away_px: float,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Return centre and half size of an outline moved outwards on all sides."""
     J = _jacobian(*_sized(unit_points, unit_normals, half), half)
     normal, change = np.zeros((4, 4)), np.zeros(4)
@@ -357,12 +354,9 @@ def _grown(
 
 @compiled
 def _border_px(
-    image: ByteImage,
-    unit_points: FloatArray,
-    unit_normals: FloatArray,
-    middle: FloatArray,
+    image: ByteImage, unit_points: FloatArray, unit_normals: FloatArray, middle: FloatArray,
     half: FloatArray,
-) -> float:
+) -> float:  # fmt: skip
     """Return how far outside an outline another one has clear edges; 0 without."""
     points, normals = _sized(unit_points, unit_normals, half)
     most = min(max(0.7 * min(half[0], half[1]), 3.0), 14.0)
@@ -384,15 +378,9 @@ def _border_px(
 
 @compiled
 def _slopes(
-    image: ByteImage,
-    middle: FloatArray,
-    points: FloatArray,
-    normals: FloatArray,
-    which: int,
-    reach: FloatArray,
-    colors: Samples,
-    slope: FloatArray,
-) -> None:
+    image: ByteImage, middle: FloatArray, points: FloatArray, normals: FloatArray, which: int,
+    reach: FloatArray, colors: Samples, slope: FloatArray,
+) -> None:  # fmt: skip
     """Fill ``slope`` (m,) with changes of colour over two steps at distances (m,) along the normal
     of one of the points; ``colors`` (m, 3) is scratch space. Neither end has a slope."""
     u, v = middle[0] + points[which, 0], middle[1] + points[which, 1]
@@ -413,12 +401,9 @@ _SHARPNESS = np.exp(-0.5 * (_STEPS / (5.0 * 0.7)) ** 2)
 
 @compiled
 def _edges(
-    image: ByteImage,
-    middle: FloatArray,
-    points: FloatArray,
-    normals: FloatArray,
+    image: ByteImage, middle: FloatArray, points: FloatArray, normals: FloatArray,
     search_px: float,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Return the offset (n,) in px and weight (0 to 1) of the strongest edge along each normal."""
     reach = _STEPS * (search_px / 5.0)
     off, weight = np.empty(len(points)), np.empty(len(points))
