@@ -53,6 +53,10 @@ class LeftOutImage:
     """Of a rig."""
 
 
+UnusableImages: TypeAlias = tuple[tuple[int, LeftOutImage], ...]
+"""Damaged images, and those of another size, each with the row of its name."""
+
+
 @dataclass(frozen=True)
 class ImageNames:
     """Images of one or two folders; those of one row belong to one frame."""
@@ -217,21 +221,48 @@ def _numbers_as_numbers(name: str) -> list[tuple[int, int | str]]:
 
 
 def size_of_images(folder: Path, names: Sequence[str]) -> tuple[int, int]:
-    """Return width and height of the first image, from its header.
+    """Return the size that most of three images have, by their headers; in doubt that of the first.
 
-    Raise SemvizError if it is not readable, or the middle or the last one has another size.
+    Raise SemvizError if none is readable.
     """
-    sizes = []
+    sizes, damaged = [], []
     for name in dict.fromkeys((names[0], names[len(names) // 2], names[-1])):
         path = folder / name
-        size = limits.check_image_size(limits.read_limited(path, limits.MOST_IMAGE_BYTES), path)
-        sizes.append(size)
-        if size != sizes[0]:
-            raise SemvizError(
-                f"{path}: image is {size[0]}x{size[1]}, but {names[0]} is "
-                f"{sizes[0][0]}x{sizes[0][1]}; all must be of one size"
-            )
-    return sizes[0]
+        try:
+            data = limits.read_limited(path, limits.MOST_IMAGE_BYTES)
+            sizes.append(limits.check_image_size(data, path))
+        except SemvizError as error:
+            damaged.append(error)
+    if not sizes:
+        raise damaged[0]
+    return max(sizes, key=sizes.count)
+
+
+def unusable_images(folder: Path, names: Sequence[str], size: tuple[int, int]) -> dict[str, str]:
+    """Return why images cannot be used, by name: of another size, cut off, or no image at all.
+
+    Only the start and the end of each are read; damage in between shows when it is decoded. Raise
+    SemvizError if that is half of the images or more.
+    """
+    found = {name: why for name in names if (why := _why_unusable(folder / name, size))}
+    if 2 * len(found) >= len(names):
+        name, why = next(iter(found.items()))
+        raise SemvizError(
+            f"{folder}: {len(found)} of {len(names)} images cannot be used, such as "
+            f"{limits.shown(name, 80)} ({why}); all must be whole, and {size[0]}x{size[1]}"
+        )
+    return found
+
+
+def _why_unusable(path: Path, size: tuple[int, int]) -> str:
+    """Return why an image cannot be used, for people; empty if it can."""
+    try:
+        found = limits.size_of_whole_image(path)
+    except SemvizError:
+        return "not readable"
+    if found is None:
+        return "damaged or cut off"
+    return "" if found == size else f"{found[0]}x{found[1]}, not {size[0]}x{size[1]}"
 
 
 def refuse_turned_or_dark(path: Path) -> None:

@@ -102,7 +102,7 @@ class _Frames:
 def read_drive(files: DriveFiles) -> RecordedDrive:
     """Read a drive. Raise SemvizError if a file is wrong, or says what semviz does not read.
 
-    Images are listed, and three of a camera opened for their size; none is decoded.
+    Start and end of each image are read; few are decoded.
     """
     statements = Statements()
     readings = _readings(files, statements)
@@ -213,10 +213,15 @@ def _read_frames(
         by_time = files.times is not None
         order = np.argsort(times.time_s, kind="stable") if by_time else np.arange(len(names.left))
         chosen = range(len(order)) if files.frames is None else files.frames
-        rows = [(index, int(order[index])) for index in chosen if index < len(order)]
+        unusable = {row for row, _ in one.unusable}
+        rows = [
+            (index, int(order[index]))
+            for index in chosen
+            if index < len(order) and int(order[index]) not in unusable
+        ]
         if not rows:
             last = len(order) - 1
-            raise SemvizError(f"--frames: the drive has frames 0 to {last}, none of these")
+            raise SemvizError(f"--frames: the drive has frames 0 to {last}, none usable of these")
         poses: list[Pose | None] = [None] * len(names.left)
         if one.posed is None:
             reading.state("poses", "none: images can be labelled, but no map built")
@@ -302,6 +307,7 @@ def _in_map(
 def _left_out(reading: Reading, images: RecordedImages, its: _Frames) -> list[LeftOutImage]:
     files, recording = reading.files, images.recording
     found = not_imported(files, recording, its.times)
+    found += [replace(image, time_s=float(its.times.time_s[row])) for row, image in images.unusable]
     if images.posed is not None:
         lacking = [row for row in its.rows if its.poses[row] is None]
         found += without_pose(files, images.posed.poses, recording.names, its.times, lacking)
