@@ -156,6 +156,24 @@ def test_the_end_of_a_jpeg_is_told_from_that_of_its_preview(tmp_path: Path) -> N
         assert size_of_whole_image(path) == size
 
 
+def test_red_and_blue_are_swapped_back_on_demand(
+    files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With and without a lens to rectify; recorded images stay as they are."""
+    pinhole = files / "pinhole.toml"
+    pinhole.write_text(CALIBRATION)
+    recorded = (files / image_name(0)).read_bytes()
+    for calibration in (files / "camera.toml", pinhole):
+        found = []
+        for colors in ("rgb", "bgr"):
+            town = tmp_path / f"{calibration.stem}-{colors}"
+            words = ("--images", files / "cam", "--calibration", calibration, "--colors", colors)
+            assert call(capsys, "new", town, *words)[0] == 0
+            found.append(Workspace.open(town).source.image(0, "left"))
+        np.testing.assert_array_equal(found[0], found[1][:, :, ::-1])
+    assert (files / image_name(0)).read_bytes() == recorded
+
+
 def test_an_image_replaced_by_an_older_one_is_rectified_again(
     files: Path, tmp_path: Path, new: Run
 ) -> None:

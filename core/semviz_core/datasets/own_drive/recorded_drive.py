@@ -28,7 +28,7 @@ from semviz_core.datasets.own_drive.recorded_images import (
     read_world_poses,
     without_pose,
 )
-from semviz_core.datasets.own_drive.recording import DriveFiles
+from semviz_core.datasets.own_drive.recording import ColorOrder, DriveFiles
 from semviz_core.datasets.own_drive.rectification import (
     RectifiedRig,
     rectify_cameras,
@@ -80,6 +80,7 @@ class RecordedDrive:
     """As asked for."""
     left_out: tuple[LeftOutImage, ...]
     """Of the workspace, or of its maps and runs; frames without a pose by their left image."""
+    colors: ColorOrder
 
     @property
     def first_frames(self) -> tuple[Frame, ...]:
@@ -119,6 +120,8 @@ def read_drive(files: DriveFiles) -> RecordedDrive:
     axes = _world_axes(files, statements, frames) if first.posed is not None else None
     for reading, one, its in zip(readings, images, frames, strict=True):
         _state_matched(reading, one, its)
+    if files.colors == "bgr":
+        statements.state("colours", "red and blue are swapped")
     turn = rectified[0].T_left_rectified
     used = [
         (
@@ -156,6 +159,7 @@ def read_drive(files: DriveFiles) -> RecordedDrive:
         _taken(files, first),
         files.most_view_deg,
         tuple(left_out),
+        files.colors,
     )
 
 
