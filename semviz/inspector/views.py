@@ -51,6 +51,8 @@ class RunHead(Part):
     elements: int
     image: ImageSize
     image_right: ImageSize | None
+    camera: str
+    """Of a rig; empty for one camera or a stereo pair."""
     classes: tuple[ElementClassView, ...]
 
 
@@ -209,6 +211,7 @@ def run_head(name: str, run: Run) -> RunHead:
         elements=len(run.semantic_map),
         image=_size(rig.left),
         image_right=None if rig.right is None else _size(rig.right),
+        camera=run.info.camera,
         classes=_classes(run.semantic_map.classes),
     )
 

@@ -281,7 +281,7 @@ export interface DrawnMark {
 
 /** One check, as texts for people. */
 export interface DriveCheck {
-  kind: "sides" | "lines" | "rows" | "poses" | "mount" | "extrinsics" | "scale" | "time" | "steps" | "gaps";
+  kind: "colors" | "sides" | "lines" | "rows" | "poses" | "mount" | "extrinsics" | "scale" | "time" | "steps" | "gaps";
   name: string;
   measured: string;
   value: string;
@@ -2098,6 +2098,7 @@ export interface RunHead {
   elements: number;
   image: ImageSize;
   image_right: ImageSize | null;
+  camera: string;
   classes: Array<ElementClassView>;
 }
 
@@ -2111,6 +2112,7 @@ export interface RunView {
   elements: number;
   image: ImageSize;
   image_right: ImageSize | null;
+  camera: string;
   classes: Array<ElementClassView>;
   note: string;
   frames: Array<FrameRow>;
