@@ -44,7 +44,7 @@ from semviz_core.simulation.street_rig import (
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-FRAMES = 7
+FRAMES = 6
 CAMERAS = four_cameras()
 NAMES = ",".join(CAMERAS)
 
