@@ -41,7 +41,7 @@ class ElementClassView(Part):
 
 
 class RunHead(Part):
-    """Method, map, classes and image sizes of a run."""
+    """Method, map, classes and image sizes of a run; of a rig, its camera."""
 
     name: str
     method: str
@@ -52,7 +52,6 @@ class RunHead(Part):
     image: ImageSize
     image_right: ImageSize | None
     camera: str
-    """Of a rig; empty for one camera or a stereo pair."""
     classes: tuple[ElementClassView, ...]
 
 
@@ -201,7 +200,6 @@ def run_view(name: str, run: Run) -> RunView:
 
 def run_head(name: str, run: Run) -> RunHead:
     """Return method, map, classes and image sizes of a run."""
-    rig = run.info.rig
     return RunHead(
         name=name,
         method=run.info.method,
@@ -209,8 +207,8 @@ def run_head(name: str, run: Run) -> RunHead:
         map_frame=run.semantic_map.frame.name,
         created=run.info.created,
         elements=len(run.semantic_map),
-        image=_size(rig.left),
-        image_right=None if rig.right is None else _size(rig.right),
+        image=_size(run.info.rig.left),
+        image_right=None if (right := run.info.rig.right) is None else _size(right),
         camera=run.info.camera,
         classes=_classes(run.semantic_map.classes),
     )

@@ -191,8 +191,6 @@ MOST_TENSOR_BYTES = 4 * 2**30
 """Of a file of weights, or of a backdrop."""
 _MOST_KEY_PARTS, _TOML_KEY_END = 20, re.compile(r"[,={}\[\]\n]")
 _JPEG_START, _PNG_START = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
-_JPEG_END, _PNG_END = b"\xff\xd9", b"\0\0\0\0IEND\xaeB`\x82"
-_HEAD_BYTES, _TAIL_BYTES = 2**16, 2**10
 _PNG_DEPTH = 24
 """Where a PNG says its bits a channel."""
 _JPEG_SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
@@ -323,15 +321,6 @@ def image_size(data: bytes) -> tuple[int, int] | None:
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
-    place = _place_of_jpeg_size(data)
-    if place is None:
-        return None
-    height, width = struct.unpack(">HH", data[place + 5 : place + 9])
-    return width, height
-
-
-def _place_of_jpeg_size(data: bytes) -> int | None:
-    """Return where the segment begins that holds a JPEG's size; None if there is none."""
     place = 2
     while place + 9 <= len(data) and data[place] == 0xFF:
         marker = data[place + 1]
@@ -340,31 +329,10 @@ def _place_of_jpeg_size(data: bytes) -> int | None:
             continue
         (length,) = struct.unpack(">H", data[place + 2 : place + 4])
         if marker in _JPEG_SIZES:
-            return place
+            height, width = struct.unpack(">HH", data[place + 5 : place + 9])
+            return width, height
         place += 2 + max(length, 2)
     return None
-
-
-def size_of_whole_image(path: Path) -> tuple[int, int] | None:
-    """Return width and height of a PNG or JPEG that has a header and an end; None without.
-
-    Usually only its start and end are read. Raise SemvizError if ``read_limited`` does.
-    """
-    data = read_limited(path, MOST_IMAGE_BYTES, _HEAD_BYTES)
-    with path.open("rb") as file:
-        file.seek(max(path.stat().st_size - _TAIL_BYTES, 0))
-        tail = file.read(_TAIL_BYTES)
-    is_whole = tail.endswith(_PNG_END) if data.startswith(_PNG_START) else _JPEG_END in tail
-    if not is_whole or image_size(data) is None:  # long metadata, or something behind the image
-        data = read_limited(path, MOST_IMAGE_BYTES)
-        is_whole = is_whole or _has_jpeg_end(data)
-    return image_size(data) if is_whole else None
-
-
-def _has_jpeg_end(data: bytes) -> bool:
-    """Whether a JPEG ends somewhere behind its size; a preview in front has an end, too."""
-    place = _place_of_jpeg_size(data) if data.startswith(_JPEG_START) else None
-    return place is not None and data.find(_JPEG_END, place) > 0
 
 
 def check_image_size(data: bytes, where: object) -> tuple[int, int]:

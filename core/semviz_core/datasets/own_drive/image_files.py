@@ -27,6 +27,10 @@ _SECONDS: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _UNUSUAL = re.compile(r"[\\\x00-\x1f\x7f\ud800-\udfff]")
 """In names of images: neither files of a drive nor other systems could hold them."""
 _LARGEST = 1e25
+_JPEG_START, _JPEG_SCAN, _PNG_START = b"\xff\xd8\xff", b"\xda", b"\x89PNG\r\n\x1a\n"
+_JPEG_END, _PNG_END = b"\xff\xd9", b"\0\0\0\0IEND\xaeB`\x82"
+_HEAD_BYTES, _TAIL_BYTES = 2**16, 2**10
+"""Read of an image, to tell whether it is whole."""
 MOST_PAIR_S = 0.002
 """Between the images of a stereo pair; a car at 20 m/s moves 4 cm."""
 _NAMED_TIME = re.compile(r"(|.*[^\d.])([1-9]\d{9,}(?:\.\d+)?)")
@@ -257,12 +261,37 @@ def unusable_images(folder: Path, names: Sequence[str], size: tuple[int, int]) -
 def _why_unusable(path: Path, size: tuple[int, int]) -> str:
     """Return why an image cannot be used, for people; empty if it can."""
     try:
-        found = limits.size_of_whole_image(path)
+        found = size_of_whole_image(path)
     except SemvizError:
         return "not readable"
     if found is None:
         return "damaged or cut off"
     return "" if found == size else f"{found[0]}x{found[1]}, not {size[0]}x{size[1]}"
+
+
+def size_of_whole_image(path: Path) -> tuple[int, int] | None:
+    """Return width and height of a PNG or JPEG that has a header and an end; None without.
+
+    Usually only its start and end are read. Raise SemvizError if ``read_limited`` does.
+    """
+    data = limits.read_limited(path, limits.MOST_IMAGE_BYTES, _HEAD_BYTES)
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - _TAIL_BYTES, 0))
+        tail = file.read(_TAIL_BYTES)
+    is_whole = tail.endswith(_PNG_END) if data.startswith(_PNG_START) else _JPEG_END in tail
+    # with long metadata, or something behind the image, all of it is read
+    if not is_whole or limits.image_size(data) is None:
+        data = limits.read_limited(path, limits.MOST_IMAGE_BYTES)
+        is_whole = is_whole or _has_jpeg_end(data)
+    return limits.image_size(data) if is_whole else None
+
+
+def _has_jpeg_end(data: bytes) -> bool:
+    """Whether a JPEG ends behind the start of its pixels; a preview in front ends, too."""
+    place = 2
+    while data[place : place + 1] == b"\xff" and data[place + 1 : place + 2] != _JPEG_SCAN:
+        place += 2 + int.from_bytes(data[place + 2 : place + 4], "big")
+    return data.startswith(_JPEG_START) and data.find(_JPEG_END, place) > 0
 
 
 def refuse_turned_or_dark(path: Path) -> None:
