@@ -4,12 +4,15 @@
 
 DRIVES holds utbm_stereo, euroc_micro, kitti360_nerf and nuscenes_frame, KITTI odometry sequence
 02; they are not part of the project. *left* is the radial distortion that is left in the images
-(k of k r^2), found with one standard deviation; a fault is named beyond four of them and 0.03. The
-second table plants faults in the poses of KITTI's frames, whose images' motions are measured once.
-The third plants wrong conventions: how many matches agree, and what is named instead.
+(k of k r^2), found with one standard deviation; a fault is named beyond four of them and 0.03.
+Pairs with a lens are rectified as the import does, with the distortion of their calibration times a
+factor. The second table swaps red and blue. The third plants faults in the poses of KITTI's frames,
+whose images' motions are measured once. The fourth plants wrong conventions: how many matches
+agree, and what is named instead.
 """
 
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,17 +22,23 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from semviz.workspace.drive_file import DriveFile, ImageFolders
 from semviz.workspace.motion_checks import motion_checks
 from semviz_core.base.camera import Camera, Rig
-from semviz_core.base.frame import Frame, Side
+from semviz_core.base.frame import Dataset, Frame, Side
 from semviz_core.base.pose import Pose, so3_exp
 from semviz_core.base.semantic_map import MapFrame
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.datasets.kitti import KittiSequence
 from semviz_core.datasets.own_drive.calibration_files import read_calibration
+from semviz_core.datasets.own_drive.color_checks import check_colors
 from semviz_core.datasets.own_drive.conventions import NAMED_EXTRINSICS, PoseConventions
+from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
 from semviz_core.datasets.own_drive.line_checks import check_lines
 from semviz_core.datasets.own_drive.pose_remedies import compare_poses
+from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive, read_drive
+from semviz_core.datasets.own_drive.recording import DriveFiles
+from semviz_core.datasets.own_drive.rectification import rectify_rig
 from semviz_core.datasets.rig_cameras import DatasetWithFrames
 from semviz_core.pose_checks.comparison import DrivePoses
 from semviz_core.pose_checks.faults import check_drive
@@ -70,22 +79,54 @@ def undistorted(K: FloatArray, terms: FloatArray, times: int = 1) -> Change:
     return change
 
 
-def drives(root: Path, kitti: Path) -> dict[str, tuple[list[Path], FloatArray, FloatArray]]:
-    """Return images, K and the distortion that they have of each drive."""
+def swapped(image: ByteImage) -> ByteImage:
+    return image[:, :, ::-1]
+
+
+def unchanged(image: ByteImage) -> ByteImage:
+    return image
+
+
+LENSES = ("UTBM", "EuRoC")
+FACTORS = (1.0, 0.0, 0.5, 0.75, 1.25)
+
+
+def pair_with_lens(name: str, root: Path) -> RecordedDrive:
+    if name == "EuRoC":
+        return read_drive(DriveFiles(root / "euroc_micro"))
+    utbm = root / "utbm_stereo"
+    left, right = utbm / "bb2_left", utbm / "bb2_right"
+    return read_drive(DriveFiles(left, right=right, poses=utbm / "sparse", scale=1.0))
+
+
+def rectified(drive: RecordedDrive, factor: float, cache: Path) -> Dataset:
+    """Return the drive's images, rectified with so many times the distortion of its calibration."""
+
+    def wrong(camera: OriginalCamera) -> OriginalCamera:
+        return replace(camera, distortion=factor * camera.distortion)
+
+    original, most_deg = drive.original, drive.most_view_deg
+    assert original.right is not None
+    wrong_rig = OriginalRig(wrong(original.left), wrong(original.right), original.T_right_left)
+    drive = replace(drive, original=wrong_rig, rectified=rectify_rig(wrong_rig, most_deg))
+    return DriveFile.of(drive, "bench").dataset(ImageFolders.of_drive(drive), cache)
+
+
+def drives(root: Path, kitti: Path) -> dict[str, tuple[list[Path], FloatArray]]:
+    """Return images and K of each drive."""
     found = {}
     for name, file, images in (
         ("UTBM", "utbm_stereo/bb2_left.yaml", "utbm_stereo/bb2_left/*"),
         ("EuRoC", "euroc_micro/mav0/cam0/sensor.yaml", "euroc_micro/mav0/cam?/data/*.png"),
     ):
-        lens = read_calibration(root / file).cameras[0]
-        found[name] = sorted(root.glob(images)), lens.K, lens.distortion
+        found[name] = sorted(root.glob(images)), read_calibration(root / file).cameras[0].K
     for name, paths, focal, u, v in (
         ("KITTI-360", sorted(root.glob("kitti360_nerf/*.png")), 552.55, 682.05, 238.77),
         ("nuScenes", sorted(root.glob("nuscenes_frame/samples/CAM_*T/*")), 1260.0, 800.0, 450.0),
         ("KITTI 02", sorted(kitti.glob("sequences/02/image_2/*"))[::2], 718.86, 607.19, 185.2),
     ):
         K = np.array([[focal, 0.0, u], [0.0, focal, v], [0.0, 0.0, 1.0]])
-        found[name] = paths, K, np.zeros(4)
+        found[name] = paths, K
     return found
 
 
@@ -189,27 +230,54 @@ def print_conventions(kitti: Path) -> None:
         print(f"| {name} | {found.share:.0%} | {' or '.join(found.remedies)} |", flush=True)
 
 
-def main() -> None:
-    print("| drive | images | calibration | edges | left, k | named |")
+def print_lines(root: Path, kitti: Path) -> None:
+    print("| drive | images | distortion | edges | left, k | named |")
     print("|---|--:|---|--:|--:|---|")
-    for name, (paths, K, terms) in drives(Path(sys.argv[1]), Path(sys.argv[2])).items():
-        height, width = np.asarray(cv2.imread(str(paths[0]))).shape[:2]
-        cases = {"its own": undistorted(K, terms)}
-        if terms.any():
-            cases |= {
-                "without distortion": undistorted(K, 0.0 * terms),
-                "half of it": undistorted(K, 0.5 * terms),
-                "rectified before": undistorted(K, terms, 2),
-            }
-        else:
-            cases["a distortion of -0.3"] = undistorted(K, np.array([-0.3, 0.0, 0.0, 0.0]))
-        for case, change in cases.items():
-            found = check_lines(Images(Rig(Camera(width, height, K)), paths, change))
-            k = f"{found.k:+.3f} ({found.sigma:.3f})" if found.is_known else "too few"
-            named = "no" if found.is_straight else "yes"
-            print(f"| {name} | {len(paths)} | {case} | {found.edges} | {k} | {named} |")
-    print_motions(Path(sys.argv[2]))
-    print_conventions(Path(sys.argv[2]))
+    for name in LENSES:
+        drive = pair_with_lens(name, root)
+        for factor in FACTORS:
+            with tempfile.TemporaryDirectory() as cache:
+                images = rectified(drive, factor, Path(cache))
+                print_line_row(name, 2 * len(images.frames), f"{factor:g} of its own", images)
+    for name, (paths, K) in drives(root, kitti).items():
+        rig = camera_of(paths, K)
+        terms = np.array([-0.3, 0.0, 0.0, 0.0])
+        if name not in LENSES:
+            print_line_row(name, len(paths), "none, its own", Images(rig, paths, unchanged))
+            print_line_row(name, len(paths), "-0.3", Images(rig, paths, undistorted(K, terms)))
+
+
+def camera_of(paths: Sequence[Path], K: FloatArray) -> Rig:
+    height, width = np.asarray(cv2.imread(str(paths[0]))).shape[:2]
+    return Rig(Camera(width, height, K))
+
+
+def print_line_row(name: str, count: int, case: str, images: Dataset) -> None:
+    found = check_lines(images)
+    k = f"{found.k:+.3f} ({found.sigma:.3f})" if found.is_known else "too few"
+    named = "no" if found.is_straight else "yes"
+    print(f"| {name} | {count} | {case} | {found.edges} | {k} | {named} |", flush=True)
+
+
+def print_colors(root: Path, kitti: Path) -> None:
+    print("\n| drive | images | sky | leaves | as recorded | red and blue swapped |")
+    print("|---|--:|--:|--:|---|---|")
+    words = {None: "cannot be told", False: "right", True: "named"}
+    for name, (paths, K) in drives(root, kitti).items():
+        rig = camera_of(paths, K)
+        found, other = (check_colors(Images(rig, paths, change)) for change in (unchanged, swapped))
+        print(
+            f"| {name} | {found.images} | {found.sky:+.0f} | {found.leaves:+.0f} "
+            f"| {words[found.is_swapped]} | {words[other.is_swapped]} |"
+        )
+
+
+def main() -> None:
+    root, kitti = map(Path, sys.argv[1:3])
+    print_lines(root, kitti)
+    print_colors(root, kitti)
+    print_motions(kitti)
+    print_conventions(kitti)
 
 
 if __name__ == "__main__":

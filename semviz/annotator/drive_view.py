@@ -165,6 +165,7 @@ def _facts(source: Dataset, frames: tuple[Frame, ...], places: FloatArray) -> li
 
 _REPAIRS = {
     "sides": "Exchange left and right",
+    "colors": "Swap red and blue",
     "lines": "Correct the distortion",
     "rows": "Refine the extrinsics",
     "poses": "Correct the poses",

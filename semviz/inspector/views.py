@@ -41,7 +41,7 @@ class ElementClassView(Part):
 
 
 class RunHead(Part):
-    """Method, map, classes and image sizes of a run."""
+    """Method, map, classes and image sizes of a run; of a rig, its camera."""
 
     name: str
     method: str
@@ -51,6 +51,7 @@ class RunHead(Part):
     elements: int
     image: ImageSize
     image_right: ImageSize | None
+    camera: str
     classes: tuple[ElementClassView, ...]
 
 
@@ -199,7 +200,6 @@ def run_view(name: str, run: Run) -> RunView:
 
 def run_head(name: str, run: Run) -> RunHead:
     """Return method, map, classes and image sizes of a run."""
-    rig = run.info.rig
     return RunHead(
         name=name,
         method=run.info.method,
@@ -207,8 +207,9 @@ def run_head(name: str, run: Run) -> RunHead:
         map_frame=run.semantic_map.frame.name,
         created=run.info.created,
         elements=len(run.semantic_map),
-        image=_size(rig.left),
-        image_right=None if rig.right is None else _size(rig.right),
+        image=_size(run.info.rig.left),
+        image_right=None if (right := run.info.rig.right) is None else _size(right),
+        camera=run.info.camera,
         classes=_classes(run.semantic_map.classes),
     )
 

@@ -37,15 +37,18 @@ def print_topic(topic: str, text: str) -> None:
     print(f"  {topic:<{_TOPIC_WIDTH}}{text}")
 
 
-def check_against_images(drive: RecordedDrive, refine: bool) -> tuple[RecordedDrive, DriveFindings]:
-    """Compare calibration and poses with the images, and print the checks.
+def check_against_images(
+    drive: RecordedDrive, refine: bool, check_swapped: bool
+) -> tuple[RecordedDrive, DriveFindings]:
+    """Compare calibration, poses and, with ``check_swapped``, colours with the images, and print
+    the checks.
 
     With ``refine``, the drive that is returned has the refined pose of the right camera.
     """
     with tempfile.TemporaryDirectory() as cache:
         if refine:
             drive = _refined(drive, Path(cache) / "calibrated")
-        found = check_drive_files(_dataset(drive, Path(cache) / "used"), drive)
+        found = check_drive_files(_dataset(drive, Path(cache) / "used"), drive, check_swapped)
     _print_checks(found.checks)
     return drive, found
 

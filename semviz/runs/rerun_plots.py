@@ -21,11 +21,12 @@ LEVELS: dict[Status, str] = {"ok": "INFO", "ambiguous": "WARN", "cannot": "ERROR
 
 def readme(info: RunInfo, semantic_map: SemanticMap) -> str:
     """Return Markdown that describes the run, and how to read the views."""
+    camera = f", camera {info.camera}" if info.camera else ""
     options = "".join(f"- {key}: `{value}`\n" for key, value in info.options.items())
     kinds = ", ".join(f"{class_.letter} {class_.name}" for class_ in semantic_map.classes)
     return f"""# {info.name}
 A run of semviz {info.version}, {info.created}: method `{info.method}`, seed {info.seed},
-observations from {info.observations or "elsewhere"}, map `{info.map_name}`
+observations from {info.observations or "elsewhere"}{camera}, map `{info.map_name}`
 ({len(semantic_map)} elements, frame {semantic_map.frame.name}, {semantic_map.digest[:12]}).
 
 **3D.** Map by class ({kinds}). White: true camera and its path. Orange: estimate, with its image;

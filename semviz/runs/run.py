@@ -56,6 +56,8 @@ class RunInfo:
     options: dict[str, Any] = field(default_factory=dict)
     """JSON values: settings of the method, prior, crop and noise."""
     images: Images = "embedded"
+    camera: str = ""
+    """Of a rig: the camera that was localized."""
 
 
 @dataclass(frozen=True, eq=False)

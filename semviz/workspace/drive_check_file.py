@@ -14,7 +14,17 @@ from semviz_core.pose_checks.faults import PoseCheck
 
 CHECKS = Path("checks", "checks.json")
 CheckKind = Literal[
-    "sides", "lines", "rows", "poses", "mount", "extrinsics", "scale", "time", "steps", "gaps"
+    "colors",
+    "sides",
+    "lines",
+    "rows",
+    "poses",
+    "mount",
+    "extrinsics",
+    "scale",
+    "time",
+    "steps",
+    "gaps",
 ]
 
 

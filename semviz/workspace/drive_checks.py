@@ -11,7 +11,7 @@ import numpy as np
 from semviz.workspace.drive_check_file import DriveCheck, words_of
 from semviz.workspace.motion_checks import motion_checks, turned_check
 from semviz_core.base.frame import Dataset, Frame
-from semviz_core.datasets.own_drive import line_checks, match_checks, pose_remedies
+from semviz_core.datasets.own_drive import color_checks, line_checks, match_checks, pose_remedies
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
 from semviz_core.datasets.rig_cameras import DatasetWithFrames, frames_by_camera
 from semviz_core.pose_checks.comparison import RIGHT_U, DrivePoses, rotation_vectors
@@ -34,16 +34,21 @@ class DriveFindings:
     """Of the first camera; None if too little was seen."""
 
 
-def check_drive_files(dataset: Dataset, drive: RecordedDrive) -> DriveFindings:
+def check_drive_files(
+    dataset: Dataset, drive: RecordedDrive, check_swapped: bool = True
+) -> DriveFindings:
     """Compare the calibration and poses of a drive with its images.
 
-    ``dataset`` holds the rectified images of ``drive``.
+    ``dataset`` holds the rectified images of ``drive``. With ``check_swapped``, nobody has said
+    which of their colours is red.
     """
     cameras = {
         camera: DatasetWithFrames(dataset, frames)
         for camera, frames in frames_by_camera(dataset).items()
     }
     checks: list[DriveCheck] = []
+    if check_swapped:
+        checks += [_colors(images, camera) for camera, images in cameras.items()]
     if dataset.rig.right is not None:
         checks.append(_sides(dataset))
     checks += [_lines(images, camera) for camera, images in cameras.items()]
@@ -63,6 +68,25 @@ def check_drive_files(dataset: Dataset, drive: RecordedDrive) -> DriveFindings:
             checks += turned_check(motions, camera)
     checks += [gap for camera, images in cameras.items() for gap in _gaps(images.frames, camera)]
     return DriveFindings(tuple(checks), first)
+
+
+def _colors(dataset: Dataset, camera: str) -> DriveCheck:
+    found = color_checks.check_colors(dataset)
+    name, of = words_of(camera)
+    is_swapped = found.is_swapped
+    return DriveCheck(
+        kind="colors",
+        name="red, blue not swapped" + name,
+        measured=f"sky of {found.images} images, blue over red",
+        value="-" if is_swapped is None else f"{found.sky:+.0f}",
+        limit=f"over {color_checks.ORANGE:.0f}",
+        passed=None if is_swapped is None else not is_swapped,
+        warning=f"{of}the sky is orange and leaves are bluish: red and blue are swapped"
+        if is_swapped
+        else "",
+        option="--colors bgr" if is_swapped else "",
+        frame=dataset.frames[len(dataset.frames) // 2].index,
+    )
 
 
 def _sides(dataset: Dataset) -> DriveCheck:

@@ -27,6 +27,7 @@ from semviz_core.common.limits import MOST_TEXT_BYTES, first_line, read_limited,
 from semviz_core.datasets.own_drive.conventions import geodetic, is_earth_centred
 from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera, OriginalRig
+from semviz_core.datasets.own_drive.recording import ColorOrder
 from semviz_core.datasets.own_drive.rectification import rectify_cameras, rectify_rig
 
 if TYPE_CHECKING:
@@ -139,6 +140,8 @@ class DriveFile(_Model):
     """The map's origin in the world of the poses; None without poses."""
     T_map_world: Matrix | None = None
     """From the world of the poses; None without poses, and in files of earlier versions."""
+    colors: ColorOrder | None = None
+    """Of the recorded images; None is red first."""
     statements: tuple[tuple[str, str], ...] = ()
     """What was read and taken for granted: topic and text."""
     warnings: tuple[str, ...] = ()
@@ -173,6 +176,7 @@ class DriveFile(_Model):
             most_view_deg=drive.most_view_deg,
             origin_m=None if drive.axes is None else drive.axes.origin_m,
             T_map_world=None if drive.axes is None else _numbers(drive.axes.T_map_world),
+            colors=None if drive.colors == "rgb" else drive.colors,
             statements=drive.statements,
             warnings=drive.warnings,
             frames=tuple(
@@ -208,6 +212,7 @@ class DriveFile(_Model):
             },
             rectify_rig(original, self.most_view_deg),
             cache,
+            colors=self.colors or "rgb",
         )
 
     @property
@@ -239,6 +244,7 @@ class DriveFile(_Model):
             camera_of,
             {name: mount for name, mount in mounts.items() if mount is not None},
             dict(zip(cameras, rectified, strict=True)),
+            self.colors or "rgb",
         )
 
     def save(self, path: Path) -> None:

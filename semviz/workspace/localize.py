@@ -34,7 +34,7 @@ from semviz_core.base.localization import Localization
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.priors import PriorOptions, simulate_prior
-from semviz_core.datasets.rig_cameras import frames_of_camera
+from semviz_core.datasets.rig_cameras import cameras_by_frame, frames_of_camera
 from semviz_core.localization.localizer import Localizer
 
 ODOMETRY_NOISE = OdometryNoise()
@@ -369,6 +369,7 @@ def record(
         observations=_observations(options, processed),
         options=asdict(options) | _detector_options(processed) | _calibration_options(localization),
         images=images,
+        camera=cameras_by_frame(localization.source).get(localization.frames[0].index, ""),
     )
     records = (
         with_images(record, localization.source, images, path.parent)

@@ -291,7 +291,7 @@ def test_right_image_has_the_map_and_no_detections(url: str, page: "Page") -> No
     wait_for(page, lambda: in_url(page, "frame") == "12", "frame 12")
     wait_for(page, lambda: np.abs(shown() - right).mean() > 5, "its picture")
     page.select_option("#run", "one-eyed")
-    wait_for(page, lambda: title.text_content() == "Left image", "the only image")
+    wait_for(page, lambda: title.text_content() == "Image", "the only image")
     assert not page.locator("#image-side").is_visible()
 
 

@@ -26,6 +26,8 @@ from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.lens import OriginalCamera
+from semviz_core.datasets.own_drive.recorded_drive import read_drive
+from semviz_core.datasets.own_drive.recording import DriveFiles
 from semviz_core.simulation.street import Street
 
 FRAMES = 9
@@ -272,14 +274,17 @@ def test_rectified_images_are_made_once_and_again_if_the_recording_is_newer(
 
 
 def test_body_poses_and_their_extrinsic_give_the_same_drive(
-    town: Workspace, recording: Recording, tmp_path: Path, semviz: Semviz
+    town: Workspace, recording: Recording
 ) -> None:
-    semviz(
-        "new", tmp_path / "body", "--images", recording.left, "--right", recording.right,
-        "--calibration", recording.kalibr, "--poses", recording.body_poses,
-        "--extrinsic", "calibration",
-    )  # fmt: skip
-    body = Workspace.open(tmp_path / "body").source
+    body = read_drive(
+        DriveFiles(
+            recording.left,
+            right=recording.right,
+            calibration=recording.kalibr,
+            poses=recording.body_poses,
+            extrinsic="calibration",
+        )
+    )
     for frame, wanted in zip(body.frames, town.source.frames, strict=True):
         assert frame.T_map_camera is not None
         assert wanted.T_map_camera is not None

@@ -1,5 +1,6 @@
 """An own drive with hostile names, links and replaced images: one line, and nothing is lost."""
 
+import csv
 import json
 import os
 from collections.abc import Callable
@@ -11,10 +12,11 @@ import pytest
 from command_line import call
 from drive_formats import CALIBRATION, COUNT, image_name, tum
 
-from semviz.workspace.drive_file import DRIVE_FILE, read_drive_file
+from semviz.workspace.drive_file import DRIVE_FILE, LEFT_OUT, read_drive_file
 from semviz.workspace.pose_review import source_key
 from semviz.workspace.workspace import Workspace
 from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.own_drive.image_files import size_of_whole_image
 
 FISHEYE = CALIBRATION.replace('"pinhole"', '"fisheye"') + "distortion = [0.01, 0.0, 0.0, 0.0]\n"
 NO_TEXT = os.fsdecode(b"\xff")
@@ -106,6 +108,70 @@ def test_what_is_no_file_is_no_file_of_a_drive(
     assert len(error.splitlines()) == 1
     assert str(path) in error
     assert not (tmp_path / "W").exists()
+
+
+def test_unusable_images_are_counted_named_and_left_out(
+    files: Path, tmp_path: Path, new: Run
+) -> None:
+    """Cut off, of another size, and no image; a preview's end is not the image's."""
+    cut, other, text = (files / image_name(index) for index in (1, 3, 7))
+    cut.write_bytes(cut.read_bytes()[:-20])
+    cv2.imwrite(str(other), np.zeros((30, 40, 3), np.uint8))
+    text.write_text("<html>404</html>")
+    status, error = new(poses=files / "tum.txt")
+    assert status == 0
+    named = f"3 images unusable, such as {cut.name} (damaged or cut off): left out"
+    assert error.splitlines()[0] == f"warning: {named}"
+    rows = list(csv.DictReader((tmp_path / "W" / LEFT_OUT).open()))
+    assert [(row["file"], row["reason"]) for row in rows] == [
+        (cut.name, "damaged or cut off"),
+        (other.name, "40x30, not 64x48"),
+        (text.name, "damaged or cut off"),
+    ]
+    assert all(row["time_s"] for row in rows)
+    workspace = Workspace.open(tmp_path / "W")
+    assert [frame.index for frame in workspace.source.frames] == [0, 2, 4, 5, 6]
+    for index in (0, 2):
+        (files / image_name(index)).write_bytes(b"")
+    status, error = new("V")
+    assert (status, len(error.splitlines())) == (2, 1)
+    assert "5 of 8 images cannot be used" in error
+    assert not (tmp_path / "V").exists()
+
+
+def test_the_end_of_a_jpeg_is_told_from_that_of_its_preview(tmp_path: Path) -> None:
+    """And found before what cameras write behind it."""
+    pixels = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    _, encoded = cv2.imencode(".jpg", pixels)
+    data, path = encoded.tobytes(), tmp_path / "a.jpg"
+    preview = b"\xff\xe1" + (len(data) + 2).to_bytes(2, "big") + data
+    for content, size in (
+        (data, (64, 48)),
+        (data[:2] + preview + data[2:], (64, 48)),
+        (data[:2] + preview + data[2:-2], None),
+        (data + bytes(5000), (64, 48)),
+        (data[:-2] + bytes(5000), None),
+    ):
+        path.write_bytes(content)
+        assert size_of_whole_image(path) == size
+
+
+def test_red_and_blue_are_swapped_back_on_demand(
+    files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With and without a lens to rectify; recorded images stay as they are."""
+    pinhole = files / "pinhole.toml"
+    pinhole.write_text(CALIBRATION)
+    recorded = (files / image_name(0)).read_bytes()
+    for calibration in (files / "camera.toml", pinhole):
+        found = []
+        for colors in ("rgb", "bgr"):
+            town = tmp_path / f"{calibration.stem}-{colors}"
+            words = ("--images", files / "cam", "--calibration", calibration, "--colors", colors)
+            assert call(capsys, "new", town, *words)[0] == 0
+            found.append(Workspace.open(town).source.image(0, "left"))
+        np.testing.assert_array_equal(found[0], found[1][:, :, ::-1])
+    assert (files / image_name(0)).read_bytes() == recorded
 
 
 def test_an_image_replaced_by_an_older_one_is_rectified_again(

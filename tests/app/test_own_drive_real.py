@@ -71,6 +71,7 @@ def test_lines_of_a_real_drive_tell_a_wrong_distortion(
     assert code == 0
     assert "distortion removed" in out
     assert warning in err
+    assert "red and blue are swapped" in err
     assert bool(warning) == ("straight edges bend by" in err)
 
 

@@ -1,6 +1,7 @@
 """Lenses, their calibration files, and images made without distortion."""
 
 import tracemalloc
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -10,11 +11,15 @@ from drive_formats import CALIBRATIONS
 from recorded_streets import BROWN, FISHEYE, LENSES, intrinsics, kalibr, seen_through
 from streets import street
 
+from semviz_core.base.camera import Camera, Rig
+from semviz_core.base.frame import Frame, Side
 from semviz_core.base.pose import Pose, so3_exp
+from semviz_core.base.semantic_map import MapFrame
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive import rectification
 from semviz_core.datasets.own_drive.calibration_files import read_calibration
+from semviz_core.datasets.own_drive.color_checks import check_colors
 from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
 from semviz_core.datasets.own_drive.rectification import rectify_rig
 
@@ -245,3 +250,43 @@ def test_a_large_image_is_rectified_in_little_memory(monkeypatch: pytest.MonkeyP
     assert peak < 250e6
     monkeypatch.setattr(rectification, "_BLOCK_PIXELS", 2**30)
     np.testing.assert_array_equal(rectify_rig(OriginalRig(lens)).left.rectify(image), made)
+
+
+SKY, EVENING, CLOUDS = (110, 160, 230), (250, 190, 120), (200, 200, 200)
+LEAVES, SUNLIT_LEAVES = (70, 100, 55), (120, 130, 60)
+
+
+@dataclass(frozen=True)
+class Painted:
+    """Images with a sky above and leaves below."""
+
+    sky: tuple[int, int, int]
+    leaves: tuple[int, int, int]
+    rig = Rig(Camera(320, 180, np.array([[300.0, 0.0, 160.0], [0.0, 300.0, 90.0], [0, 0, 1]])))
+    map_frame = MapFrame("painted")
+    frames = (Frame(0, 0.0, None), Frame(1, 1.0, None))
+
+    def image(self, index: int, side: Side) -> ByteImage:
+        image = np.full((180, 320, 3), self.leaves, dtype=np.uint8)
+        image[:90] = self.sky
+        return image
+
+
+@pytest.mark.parametrize(
+    ("sky", "leaves", "usual", "swapped"),
+    [
+        (SKY, LEAVES, False, True),
+        (EVENING, SUNLIT_LEAVES, None, None),
+        (CLOUDS, LEAVES, None, None),
+        (SKY, CLOUDS, False, None),
+    ],
+)
+def test_a_blue_sky_and_leaves_tell_swapped_colors(
+    sky: tuple[int, int, int],
+    leaves: tuple[int, int, int],
+    usual: bool | None,
+    swapped: bool | None,
+) -> None:
+    """An orange sky alone may be an evening's."""
+    assert check_colors(Painted(sky, leaves)).is_swapped is usual
+    assert check_colors(Painted(sky[::-1], leaves[::-1])).is_swapped is swapped

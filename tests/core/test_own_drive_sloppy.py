@@ -203,3 +203,26 @@ def test_headings_are_compared_with_the_direction_of_travel(
     found = read_poses(path).doubt
     assert doubt in found
     assert bool(found) == bool(doubt)
+
+
+@pytest.mark.parametrize(("first_deg", "doubt"), [(20.0, True), (110.0, True), (38.0, False)])
+def test_exchanged_latitude_and_longitude_are_told_by_the_direction_of_travel(
+    tmp_path: Path, first_deg: float, doubt: bool
+) -> None:
+    """Not along the one direction that stays the same, 38 deg there; a bend would tell."""
+    lines, lat, lon = ["time,lat,lon,height,heading"], 48.0, 11.0
+    for index in range(12):
+        heading = first_deg + 0.2 * index
+        lines.append(f"{index},{lon:.9f},{lat:.9f},500,{heading:.6f}")
+        lat += 1e-5 * np.cos(np.deg2rad(heading))
+        lon += 1e-5 * np.sin(np.deg2rad(heading)) / np.cos(np.deg2rad(lat))
+    path = tmp_path / "gnss.csv"
+    path.write_text("\n".join(lines))
+    assert ("latitude and longitude were exchanged" in read_poses(path).doubt) == doubt
+
+
+def test_a_latitude_beyond_the_poles_is_a_longitude(tmp_path: Path) -> None:
+    path = tmp_path / "gnss.csv"
+    path.write_text("time,lat,lon,height,heading\n0,121.5,31.2,5,0\n1,121.5,31.3,5,0\n")
+    with pytest.raises(SemvizError, match="exchange the names of the columns lat and lon"):
+        read_poses(path)

@@ -133,8 +133,16 @@ export class ImagePanel {
     this.right = null;
     this.classes = new Map(run.classes.map((kind) => [kind.id, kind]));
     byId("image-side").hidden = !run.image_right;
+    this.#showTitle();
     this.images.open(run);
     this.applySize();
+  }
+
+  #showTitle() {
+    if (!this.page.store.isOpen) return;
+    const { camera, image_right: right } = this.page.store.run;
+    const title = right ? TITLES[this.state.side] : "Image";
+    byId("image-title").textContent = camera ? `Camera ${camera}` : title;
   }
 
   /** @param {FrameView} frame */
@@ -154,7 +162,7 @@ export class ImagePanel {
     const isSwitched = state.side !== this.state.side;
     this.state = state;
     if (isSwitched && this.page.store.isOpen) this.applySize();
-    byId("image-title").textContent = TITLES[state.side];
+    this.#showTitle();
     byId("image-neighbours").setAttribute("aria-pressed", String(state.neighbours));
     for (const button of this.modes) {
       button.setAttribute("aria-pressed", String(button.dataset.mode === state.mode));

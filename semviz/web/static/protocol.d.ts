@@ -335,7 +335,7 @@ export interface DrawnMark {
 
 /** One check, as texts for people. */
 export interface DriveCheck {
-  kind: "sides" | "lines" | "rows" | "poses" | "mount" | "extrinsics" | "scale" | "time" | "steps" | "gaps";
+  kind: "colors" | "sides" | "lines" | "rows" | "poses" | "mount" | "extrinsics" | "scale" | "time" | "steps" | "gaps";
   name: string;
   measured: string;
   value: string;
@@ -2209,6 +2209,7 @@ export interface RunHead {
   elements: number;
   image: ImageSize;
   image_right: ImageSize | null;
+  camera: string;
   classes: Array<ElementClassView>;
 }
 
@@ -2222,6 +2223,7 @@ export interface RunView {
   elements: number;
   image: ImageSize;
   image_right: ImageSize | null;
+  camera: string;
   classes: Array<ElementClassView>;
   note: string;
   frames: Array<FrameRow>;

@@ -27,6 +27,10 @@ _SECONDS: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _UNUSUAL = re.compile(r"[\\\x00-\x1f\x7f\ud800-\udfff]")
 """In names of images: neither files of a drive nor other systems could hold them."""
 _LARGEST = 1e25
+_JPEG_START, _JPEG_SCAN, _PNG_START = b"\xff\xd8\xff", b"\xda", b"\x89PNG\r\n\x1a\n"
+_JPEG_END, _PNG_END = b"\xff\xd9", b"\0\0\0\0IEND\xaeB`\x82"
+_HEAD_BYTES, _TAIL_BYTES = 2**16, 2**10
+"""Read of an image, to tell whether it is whole."""
 MOST_PAIR_S = 0.002
 """Between the images of a stereo pair; a car at 20 m/s moves 4 cm."""
 _NAMED_TIME = re.compile(r"(|.*[^\d.])([1-9]\d{9,}(?:\.\d+)?)")
@@ -51,6 +55,10 @@ class LeftOutImage:
     """For people."""
     camera: str = ""
     """Of a rig."""
+
+
+UnusableImages: TypeAlias = tuple[tuple[int, LeftOutImage], ...]
+"""Damaged images, and those of another size, each with the row of its name."""
 
 
 @dataclass(frozen=True)
@@ -217,21 +225,73 @@ def _numbers_as_numbers(name: str) -> list[tuple[int, int | str]]:
 
 
 def size_of_images(folder: Path, names: Sequence[str]) -> tuple[int, int]:
-    """Return width and height of the first image, from its header.
+    """Return the size that most of three images have, by their headers; in doubt that of the first.
 
-    Raise SemvizError if it is not readable, or the middle or the last one has another size.
+    Raise SemvizError if none is readable.
     """
-    sizes = []
+    sizes, damaged = [], []
     for name in dict.fromkeys((names[0], names[len(names) // 2], names[-1])):
         path = folder / name
-        size = limits.check_image_size(limits.read_limited(path, limits.MOST_IMAGE_BYTES), path)
-        sizes.append(size)
-        if size != sizes[0]:
-            raise SemvizError(
-                f"{path}: image is {size[0]}x{size[1]}, but {names[0]} is "
-                f"{sizes[0][0]}x{sizes[0][1]}; all must be of one size"
-            )
-    return sizes[0]
+        try:
+            data = limits.read_limited(path, limits.MOST_IMAGE_BYTES)
+            sizes.append(limits.check_image_size(data, path))
+        except SemvizError as error:
+            damaged.append(error)
+    if not sizes:
+        raise damaged[0]
+    return max(sizes, key=sizes.count)
+
+
+def unusable_images(folder: Path, names: Sequence[str], size: tuple[int, int]) -> dict[str, str]:
+    """Return why images cannot be used, by name: of another size, cut off, or no image at all.
+
+    Only the start and the end of each are read; damage in between shows when it is decoded. Raise
+    SemvizError if that is half of the images or more.
+    """
+    found = {name: why for name in names if (why := _why_unusable(folder / name, size))}
+    if 2 * len(found) >= len(names):
+        name, why = next(iter(found.items()))
+        raise SemvizError(
+            f"{folder}: {len(found)} of {len(names)} images cannot be used, such as "
+            f"{limits.shown(name, 80)} ({why}); all must be whole, and {size[0]}x{size[1]}"
+        )
+    return found
+
+
+def _why_unusable(path: Path, size: tuple[int, int]) -> str:
+    """Return why an image cannot be used, for people; empty if it can."""
+    try:
+        found = size_of_whole_image(path)
+    except SemvizError:
+        return "not readable"
+    if found is None:
+        return "damaged or cut off"
+    return "" if found == size else f"{found[0]}x{found[1]}, not {size[0]}x{size[1]}"
+
+
+def size_of_whole_image(path: Path) -> tuple[int, int] | None:
+    """Return width and height of a PNG or JPEG that has a header and an end; None without.
+
+    Usually only its start and end are read. Raise SemvizError if ``read_limited`` does.
+    """
+    data = limits.read_limited(path, limits.MOST_IMAGE_BYTES, _HEAD_BYTES)
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - _TAIL_BYTES, 0))
+        tail = file.read(_TAIL_BYTES)
+    is_whole = tail.endswith(_PNG_END) if data.startswith(_PNG_START) else _JPEG_END in tail
+    # with long metadata, or something behind the image, all of it is read
+    if not is_whole or limits.image_size(data) is None:
+        data = limits.read_limited(path, limits.MOST_IMAGE_BYTES)
+        is_whole = is_whole or _has_jpeg_end(data)
+    return limits.image_size(data) if is_whole else None
+
+
+def _has_jpeg_end(data: bytes) -> bool:
+    """Whether a JPEG ends behind the start of its pixels; a preview in front ends, too."""
+    place = 2
+    while data[place : place + 1] == b"\xff" and data[place + 1 : place + 2] != _JPEG_SCAN:
+        place += 2 + int.from_bytes(data[place + 2 : place + 4], "big")
+    return data.startswith(_JPEG_START) and data.find(_JPEG_END, place) > 0
 
 
 def refuse_turned_or_dark(path: Path) -> None:

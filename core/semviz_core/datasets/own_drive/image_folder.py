@@ -18,6 +18,7 @@ from semviz_core.common import limits
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
+from semviz_core.datasets.own_drive.recording import ColorOrder
 from semviz_core.datasets.own_drive.rectification import Rectification, RectifiedRig
 
 _PNG_LEVEL = 1
@@ -30,8 +31,8 @@ class ImageFolder:
 
     A rectified image is made when it is first asked for, and kept in ``cache`` as PNG, so that
     labels and measurements of all times see the same pixels. Its file has the recorded image's time
-    of change, and is made again if that changes. Images that need no rectification are read as they
-    are.
+    of change, and is made again if that changes. Images that need no rectification, and have red
+    first, are read as they are.
     """
 
     map_frame: MapFrame
@@ -50,6 +51,8 @@ class ImageFolder:
     """Of a rig: ``T_first_camera`` by name, of those that are known."""
     rectified_cameras: Mapping[str, RectifiedRig] = field(default_factory=dict)
     """Of a rig, by name; all have the same camera."""
+    colors: ColorOrder = "rgb"
+    """Of the recorded images."""
 
     @property
     def rig(self) -> Rig:
@@ -72,7 +75,7 @@ class ImageFolder:
         """Return the path of a rectified image, which is made if it is missing."""
         original = self.original_path(index, side)
         rectification = self.rectification(index, side)
-        if rectification.is_identity:
+        if self._is_read_as_recorded(index, side):
             return original
         path = self._rectified_path(index, side)
         changed_ns = original.stat().st_mtime_ns
@@ -80,15 +83,22 @@ class ImageFolder:
             self._check_replaceable(path)
             recorded = rectification.original
             image = _read_image(original, recorded.width, recorded.height)
-            _write_png(path, rectification.rectify(image), changed_ns)
+            if self.colors == "bgr":
+                image = np.ascontiguousarray(image[:, :, ::-1])
+            if not rectification.is_identity:
+                image = rectification.rectify(image)
+            _write_png(path, image, changed_ns)
         return path
 
     def is_rectified(self, index: int, side: Side) -> bool:
         """Whether a rectified image is made, or none is needed."""
-        if self.rectification(index, side).is_identity:
+        if self._is_read_as_recorded(index, side):
             return True
         path, original = self._rectified_path(index, side), self.original_path(index, side)
         return path.is_file() and path.stat().st_mtime_ns == original.stat().st_mtime_ns
+
+    def _is_read_as_recorded(self, index: int, side: Side) -> bool:
+        return self.rectification(index, side).is_identity and self.colors == "rgb"
 
     def _rectified_path(self, index: int, side: Side) -> Path:
         return self.cache / side / f"{index:06d}.png"

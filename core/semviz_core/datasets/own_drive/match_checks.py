@@ -8,6 +8,7 @@ sensitive; its uncertainty is returned.
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -135,6 +136,7 @@ def _apart(parameters: FloatArray, rays: tuple[FloatArray, FloatArray]) -> Float
 
 
 _FEATURES = 2000
+_KEPT_IMAGES = 12
 _RATIO = 0.8
 """Largest ratio of the best to the second best distance (Lowe 2004)."""
 PAIRS = 5
@@ -153,17 +155,31 @@ def matched_pixels(first: ByteImage, second: ByteImage) -> FloatArray:
     """Return (n, 2, 2): the pixel of each match in both images. Some matches are wrong."""
     import cv2
 
-    sift = cv2.SIFT.create(_FEATURES)  # to a fraction of a pixel, unlike ORB
+    grays = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (first, second))
     (points, features), (others, candidates) = (
-        sift.detectAndCompute(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), None)
-        for image in (first, second)
+        _features(gray.tobytes(), gray.shape[1]) for gray in grays
     )
-    if features is None or candidates is None or len(candidates) < 2:
+    if len(features) == 0 or len(candidates) < 2:
         return np.zeros((0, 2, 2))
     pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(features, candidates, k=2)
-    clear = [a for a, b in pairs if a.distance < _RATIO * b.distance]
-    places = np.array([[points[m.queryIdx].pt, others[m.trainIdx].pt] for m in clear])
-    return np.asarray(places.reshape(-1, 2, 2), dtype=np.float64)
+    clear = [(a.queryIdx, a.trainIdx) for a, b in pairs if a.distance < _RATIO * b.distance]
+    rows = np.array(clear, dtype=np.int64).reshape(-1, 2)
+    return np.stack([points[rows[:, 0]], others[rows[:, 1]]], axis=1)
+
+
+@lru_cache(_KEPT_IMAGES)
+def _features(gray: bytes, width: int) -> tuple[FloatArray, np.ndarray]:
+    """Return pixels (n, 2) and descriptors (n, 128) of an image's features.
+
+    They are kept for a while, as several checks match the same images.
+    """
+    import cv2
+
+    image = np.frombuffer(gray, np.uint8).reshape(-1, width)
+    sift = cv2.SIFT.create(_FEATURES)  # to a fraction of a pixel, unlike ORB
+    points, features = sift.detectAndCompute(image, None)
+    pixels = np.array([point.pt for point in points], dtype=np.float64).reshape(-1, 2)
+    return pixels, np.zeros((0, 128)) if features is None else features
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from semviz_core.base.pose import Pose, nearest_rotation
-from semviz_core.common.arrays import FloatArray
+from semviz_core.common.arrays import BoolArray, FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
 from semviz_core.datasets.own_drive.conventions import (
@@ -46,7 +46,8 @@ _UNIT = r"_?(deg|rad|m|s|ms|us|ns)?"
 
 _LEAST_STEP_M, _LEAST_STEPS = 0.5, 5
 """Steps of a table that tell the direction of travel, and how many are needed."""
-_OFF_TRAVEL_RAD, _ALONG_TRAVEL_RAD = np.deg2rad(12.0), np.deg2rad(6.0)
+_EARTH_M = 6.37e6
+_OFF_TRAVEL_RAD, _ALONG_TRAVEL_RAD, _AS_WELL_RAD = np.deg2rad([12.0, 6.0, 2.0])
 _HEAD = 1000
 """Characters of a file in which columns are named."""
 
@@ -77,8 +78,7 @@ def read_gnss(
     }
     for name in ("latitude", "longitude"):
         values[name] = _degrees(columns[known[name]], values[name])
-    if np.abs(values["latitude"]).max() > 90.0 or np.abs(values["longitude"]).max() > 360.0:
-        raise SemvizError(f"{path}: latitude and longitude are not degrees; give degrees")
+    _refuse_impossible(path, columns, known, values)
     level = np.zeros(len(rows))
     angles = {
         name: _radians(columns[known[name]], values[name]) if name in values else level
@@ -100,6 +100,7 @@ def read_gnss(
         names = tuple(rows[row][known["name"]] for row in order.tolist())
     where = f"{values['latitude'][0]:.7f}, {values['longitude'][0]:.7f}"
     column, heading = columns[known["heading"]], values["heading"][order]
+    latitude, longitude = (np.deg2rad(values[name][order]) for name in ("latitude", "longitude"))
     return RecordedPoses(
         path,
         "GNSS",
@@ -109,41 +110,73 @@ def read_gnss(
         time_unit=time_unit,
         names=names,
         note=f"heading clockwise from north, {_tilt(known)}, metres east and north of {where}",
-        doubt=_doubt_of_heading(column, heading, matrices[order][:, :2, 3]),
+        doubt=_doubt_of_heading(column, heading, latitude, longitude),
     )
 
 
-def _doubt_of_heading(column: str, heading: FloatArray, east_north_m: FloatArray) -> str:
+def _refuse_impossible(
+    path: Path,
+    columns: Sequence[str],
+    known: Mapping[str, int],
+    values: Mapping[str, FloatArray],
+) -> None:
+    """Raise SemvizError if latitudes or longitudes are none."""
+    farthest, widest = np.abs(values["latitude"]).max(), np.abs(values["longitude"]).max()
+    if farthest > 90.0 and farthest <= 360.0 and widest <= 90.0:
+        latitude, longitude = (columns[known[name]] for name in ("latitude", "longitude"))
+        raise SemvizError(
+            f"{path}: {latitude} is up to {farthest:.4f} deg, beyond the poles: latitude and "
+            f"longitude are exchanged; exchange the names of the columns {latitude} and {longitude}"
+        )
+    if farthest > 90.0 or widest > 360.0:
+        raise SemvizError(f"{path}: latitude and longitude are not degrees; give degrees")
+
+
+def _doubt_of_heading(
+    column: str, heading: FloatArray, latitude_rad: FloatArray, longitude_rad: FloatArray
+) -> str:
     """Say that headings (n,) as written are not those of travel, if they are by another meaning.
 
     A car drives where it heads, or backwards. Empty if it does, or no meaning fits.
     """
-    steps_m = np.diff(east_north_m, axis=0)
-    moves = np.hypot(*steps_m.T) > _LEAST_STEP_M
+    travel, moves = _travel(latitude_rad, longitude_rad)
     if moves.sum() < _LEAST_STEPS:
         return ""
-    travel = np.arctan2(*steps_m[moves].T)  # clockwise from north
-    written, as_taken = heading[:-1][moves], _radians(column, heading)[:-1][moves]
+    exchanged, _ = _travel(longitude_rad, latitude_rad)
+    written, as_taken = heading[:-1], _radians(column, heading)[:-1]
+    less = f"{column} were counterclockwise from"
     meanings = {
-        "counterclockwise from east; heading is 90 deg less that": np.pi / 2.0 - as_taken,
-        "counterclockwise from north; heading is 360 deg less that": -as_taken,
-        f"in radians; call the column {column}_rad": written,
-        "in radians, counterclockwise from east; heading is pi/2 less that": np.pi / 2.0 - written,
+        f"{less} east; heading is 90 deg less that": np.pi / 2.0 - as_taken - travel,
+        f"{less} north; heading is 360 deg less that": -as_taken - travel,
+        f"{column} were in radians; call the column {column}_rad": written - travel,
+        f"{column} were in radians, counterclockwise from east; heading is pi/2 less that": (
+            np.pi / 2.0 - written - travel
+        ),
+        "latitude and longitude were exchanged; exchange the names of their columns": (
+            as_taken - exchanged
+        ),
     }
-    apart = {name: _off_travel(angle, travel) for name, angle in meanings.items()}
-    best = min(apart, key=lambda name: apart[name])
-    off = _off_travel(as_taken, travel)
-    if off < _OFF_TRAVEL_RAD or apart[best] > _ALONG_TRAVEL_RAD:
+    apart = {name: _off_travel(angle[moves]) for name, angle in meanings.items()}
+    off, least = _off_travel((as_taken - travel)[moves]), min(apart.values())
+    if off < _OFF_TRAVEL_RAD or least > _ALONG_TRAVEL_RAD:
         return ""
+    fitting = " or if ".join(name for name in apart if apart[name] <= least + _AS_WELL_RAD)
     return (
         f"{column} is {np.rad2deg(off):.0f} deg off the direction of travel; it would fit if "
-        f"{column} were {best}"
+        f"{fitting}"
     )
 
 
-def _off_travel(heading_rad: FloatArray, travel_rad: FloatArray) -> float:
-    """Return the median angle (rad) between headings and travel, forward or backward."""
-    off = np.abs(np.angle(np.exp(1j * (heading_rad - travel_rad))))
+def _travel(latitude_rad: FloatArray, longitude_rad: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return the direction of each step (n - 1,), clockwise from north, and whether it moves."""
+    north_m = _EARTH_M * np.diff(latitude_rad)
+    east_m = _EARTH_M * np.diff(longitude_rad) * np.cos(latitude_rad[0])
+    return np.arctan2(east_m, north_m), np.hypot(east_m, north_m) > _LEAST_STEP_M
+
+
+def _off_travel(off_rad: FloatArray) -> float:
+    """Return the median angle (rad) of headings off travel, forward or backward."""
+    off = np.abs(np.angle(np.exp(1j * off_rad)))
     return float(min(np.median(off), np.median(np.pi - off)))
 
 

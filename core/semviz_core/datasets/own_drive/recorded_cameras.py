@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from semviz_core.base.frame import Side
 from semviz_core.base.pose import Pose, nearest_rotation
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
@@ -23,7 +24,13 @@ from semviz_core.datasets.own_drive.calibration_files import (
 )
 from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
 from semviz_core.datasets.own_drive.conventions import PosedCameras, RecordedPoses
-from semviz_core.datasets.own_drive.image_files import refuse_turned_or_dark, size_of_images
+from semviz_core.datasets.own_drive.image_files import (
+    LeftOutImage,
+    UnusableImages,
+    refuse_turned_or_dark,
+    size_of_images,
+    unusable_images,
+)
 from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera, OriginalRig
 from semviz_core.datasets.own_drive.recording import DriveFiles, Recording, rows_of_names
 
@@ -101,25 +108,26 @@ def _camera(where: str, table: Mapping[str, Any]) -> OriginalCamera:
 
 def read_cameras(
     files: DriveFiles, recording: Recording, posed: PosedCameras | None
-) -> tuple[OriginalRig, CalibrationFile]:
-    """Return the recorded cameras and their calibration, checked against the size of the images.
+) -> tuple[OriginalRig, CalibrationFile, UnusableImages]:
+    """Return the recorded cameras, their calibration, and the images that are unusable with it.
 
     Raise SemvizError if there is no calibration, it is for other images, or it does not say where
     the right camera is.
     """
     calibration = _calibration(files, recording, posed)
     left = calibration.cameras[0]
-    _check_images(calibration.path, recording.images, recording.names.left, left)
+    names = recording.names
+    unusable = _check_images(calibration.path, recording.images, names.left, left, "left")
     if recording.right is None:
-        return OriginalRig(left), calibration
+        return OriginalRig(left), calibration, unusable
     if calibration.T_right_left is None:
         raise SemvizError(
             f"{calibration.path}: says nothing about a right camera; give --right-calibration "
             "FILE, a TOML file with T_right_left (see docs/own-drive.md), or leave out --right"
         )
     right = calibration.cameras[1]
-    _check_images(calibration.path, recording.right, recording.names.right, right)
-    return OriginalRig(left, right, calibration.T_right_left), calibration
+    unusable += _check_images(calibration.path, recording.right, names.right, right, "right")
+    return OriginalRig(left, right, calibration.T_right_left), calibration, unusable
 
 
 def _calibration(
@@ -205,12 +213,23 @@ def _same(first: OriginalCamera, second: OriginalCamera) -> bool:
     )
 
 
-def _check_images(path: Path, folder: Path, names: Sequence[str], camera: OriginalCamera) -> None:
-    """Raise SemvizError if a calibration is for images of another size, or these are unusual."""
+def _check_images(
+    path: Path, folder: Path, names: Sequence[str], camera: OriginalCamera, side: Side
+) -> UnusableImages:
+    """Return the images that cannot be used.
+
+    Raise SemvizError if a calibration is for images of another size, or these are unusual.
+    """
     width, height = size_of_images(folder, names)
-    refuse_turned_or_dark(folder / names[len(names) // 2])
     if (width, height) == (camera.width, camera.height):
-        return
+        why = unusable_images(folder, names, (width, height))
+        usable = [name for name in names if name not in why]
+        refuse_turned_or_dark(folder / usable[len(usable) // 2])
+        return tuple(
+            (row, LeftOutImage(name, side, None, why[name]))
+            for row, name in enumerate(names)
+            if name in why
+        )
     scale = width / camera.width
     remedy = "use the images' own calibration"
     if abs(height - scale * camera.height) <= 1.0:

@@ -28,7 +28,7 @@ from semviz_core.datasets.own_drive.recorded_images import (
     read_world_poses,
     without_pose,
 )
-from semviz_core.datasets.own_drive.recording import DriveFiles
+from semviz_core.datasets.own_drive.recording import ColorOrder, DriveFiles
 from semviz_core.datasets.own_drive.rectification import (
     RectifiedRig,
     rectify_cameras,
@@ -80,6 +80,7 @@ class RecordedDrive:
     """As asked for."""
     left_out: tuple[LeftOutImage, ...]
     """Of the workspace, or of its maps and runs; frames without a pose by their left image."""
+    colors: ColorOrder
 
     @property
     def first_frames(self) -> tuple[Frame, ...]:
@@ -102,7 +103,7 @@ class _Frames:
 def read_drive(files: DriveFiles) -> RecordedDrive:
     """Read a drive. Raise SemvizError if a file is wrong, or says what semviz does not read.
 
-    Images are listed, and three of a camera opened for their size; none is decoded.
+    Start and end of each image are read; few are decoded.
     """
     statements = Statements()
     readings = _readings(files, statements)
@@ -119,6 +120,8 @@ def read_drive(files: DriveFiles) -> RecordedDrive:
     axes = _world_axes(files, statements, frames) if first.posed is not None else None
     for reading, one, its in zip(readings, images, frames, strict=True):
         _state_matched(reading, one, its)
+    if files.colors == "bgr":
+        statements.state("colours", "red and blue are swapped")
     turn = rectified[0].T_left_rectified
     used = [
         (
@@ -156,6 +159,7 @@ def read_drive(files: DriveFiles) -> RecordedDrive:
         _taken(files, first),
         files.most_view_deg,
         tuple(left_out),
+        files.colors,
     )
 
 
@@ -213,10 +217,15 @@ def _read_frames(
         by_time = files.times is not None
         order = np.argsort(times.time_s, kind="stable") if by_time else np.arange(len(names.left))
         chosen = range(len(order)) if files.frames is None else files.frames
-        rows = [(index, int(order[index])) for index in chosen if index < len(order)]
+        unusable = {row for row, _ in one.unusable}
+        rows = [
+            (index, int(order[index]))
+            for index in chosen
+            if index < len(order) and int(order[index]) not in unusable
+        ]
         if not rows:
             last = len(order) - 1
-            raise SemvizError(f"--frames: the drive has frames 0 to {last}, none of these")
+            raise SemvizError(f"--frames: the drive has frames 0 to {last}, none usable of these")
         poses: list[Pose | None] = [None] * len(names.left)
         if one.posed is None:
             reading.state("poses", "none: images can be labelled, but no map built")
@@ -302,6 +311,7 @@ def _in_map(
 def _left_out(reading: Reading, images: RecordedImages, its: _Frames) -> list[LeftOutImage]:
     files, recording = reading.files, images.recording
     found = not_imported(files, recording, its.times)
+    found += [replace(image, time_s=float(its.times.time_s[row])) for row, image in images.unusable]
     if images.posed is not None:
         lacking = [row for row in its.rows if its.poses[row] is None]
         found += without_pose(files, images.posed.poses, recording.names, its.times, lacking)

@@ -25,6 +25,7 @@ from semviz_core.datasets.own_drive.image_files import (
     ImageNames,
     ImageTimes,
     LeftOutImage,
+    UnusableImages,
     read_times,
     times_from_names,
 )
@@ -85,6 +86,7 @@ class RecordedImages:
     posed: PosedCameras | None
     original: OriginalRig
     calibration: CalibrationFile
+    unusable: UnusableImages
 
 
 def read_images(reading: Reading) -> RecordedImages:
@@ -92,9 +94,15 @@ def read_images(reading: Reading) -> RecordedImages:
     recording = read_recording(reading.files)
     _state_images(reading, recording)
     posed = _read_posed(reading.files, recording)
-    original, calibration = read_cameras(reading.files, recording, posed)
+    original, calibration, unusable = read_cameras(reading.files, recording, posed)
     _state_calibration(reading, original, calibration)
-    return RecordedImages(recording, posed, original, calibration)
+    if unusable:
+        _, first = unusable[0]
+        reading.warn(
+            f"{_images(len(unusable))} unusable, such as {shown(first.file, 80)} "
+            f"({first.reason}): left out"
+        )
+    return RecordedImages(recording, posed, original, calibration, unusable)
 
 
 def _state_images(reading: Reading, recording: Recording) -> None:

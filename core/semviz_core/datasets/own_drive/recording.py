@@ -8,7 +8,7 @@ replaces. Each image gets the pose of its time, its name or its number.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -109,6 +109,9 @@ RATE_HZ = 10.0
 """Of images whose times nobody knows."""
 
 
+ColorOrder: TypeAlias = Literal["rgb", "bgr"]
+
+
 def _silent(what: str, done: int, of: int) -> None:
     """Show nothing."""
 
@@ -147,6 +150,8 @@ class DriveFiles:
     """Metres in a unit of length of the poses."""
     metric: bool = False
     """Whether poses of a format without unit are in metres."""
+    colors: ColorOrder = "rgb"
+    """Of the pixels that are decoded: red first, or red and blue are swapped."""
     most_gap_s: float = MOST_GAP_S
     rate_hz: float = RATE_HZ
     most_view_deg: float = MOST_VIEW_DEG
