@@ -57,13 +57,17 @@ def _jpeg(street: Street, index: int, side: Side) -> bytes:
     return cv2.imencode(".jpg", street.image(index, side)[:, :, ::-1])[1].tobytes()
 
 
+FIRST = "frame=10"
+"""The first frame of most tests' runs, which would else open at their worst one."""
+
+
 def open_page(page: "Page", url: str, query: str = "") -> None:
-    """Open an address and wait for its first frame.
+    """Open an address, by default at frame 10, and wait for its first frame.
 
     The list of frames comes earlier, with the run. The rest of the address (tabs, selection) is
     applied with the first frame, and until then it would undo what a test clicks.
     """
-    page.goto(at(url, f"?{query}"))
+    page.goto(at(url, f"?{query}" if "frame=" in query else f"?{FIRST}&{query}"))
     status = page.locator("#status")  # waiting in the page needs eval, which it forbids
     wait_for(page, lambda: bool(status.text_content()), "the first frame")
     page.wait_for_timeout(500)

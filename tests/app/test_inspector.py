@@ -84,6 +84,10 @@ def test_page_shows_the_run_and_its_worst_frame_first(url: str, page: "Page", ru
     assert rows.first.locator(".index").text_content() == str(FAILED)
     assert page.locator("#frame-number").text_content() == "Frame 10 of 18"
     assert page.locator("#status").text_content() == "Ok"
+    page.goto(url)
+    number = page.locator("#frame-number")
+    wait_for(page, lambda: number.text_content() == f"Frame {FAILED} of 18", "the worst frame")
+    open_page(page, url)
     matrix = page.locator("#matrix-about").text_content()
     seen, mapped = len(run.frames[0].localization.observed), len(run.frames[0].localization.submap)
     assert matrix == f"{seen} detected × {mapped} mapped"
