@@ -14,7 +14,7 @@ MASKED_FIELDS = frozenset({"time_ms", "version", "created", "made_by"})
 """Fields of recorded classes with times, versions or durations. ``made_by`` holds the version and
 the options as Python text, for people."""
 
-NEWER_FIELDS = frozenset({"attributes"})
+NEWER_FIELDS = frozenset({"attributes", "camera"})
 """Fields that recorded classes have got since, left out while they are empty."""
 
 _ID = re.compile(r"\b[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}\b")
