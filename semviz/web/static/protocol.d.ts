@@ -2060,7 +2060,7 @@ export interface OpenLabelRequest {
   element?: number | null;
 }
 
-/** Show a run at the frame with this number. Default: the first run, its first frame. */
+/** Show a run at the frame with this number. Default: the first run, its worst frame. */
 export interface OpenRunRequest {
   type: "open_run";
   id: string;
@@ -2199,7 +2199,7 @@ export interface RunFindings {
   rows: Array<ElementRow>;
 }
 
-/** Method, map, classes and image sizes of a run. */
+/** Method, map, classes and image sizes of a run; of a rig, its camera. */
 export interface RunHead {
   name: string;
   method: string;
