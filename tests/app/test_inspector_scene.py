@@ -549,7 +549,14 @@ def test_a_step_is_one_picture_in_3d_though_its_cameras_come_before_the_rest(
     page.wait_for_selector("#scene.ready")
     (server,) = tool.scenes._servers.values()
     wait_for(page, lambda: bool(server.get_clients()), "the 3D client")
-    page.wait_for_timeout(4000)  # until the first pictures are drawn
+    pane = next(frame for frame in page.frames if "/view/" in frame.url)
+
+    def is_drawn() -> bool:  # no new picture for two seconds
+        before = pane.evaluate("window.pictures")
+        page.wait_for_timeout(2000)
+        return bool(before > 0 and pane.evaluate("window.pictures") == before)
+
+    wait_for(page, is_drawn, "the first pictures")
     together = type(server).atomic
 
     @contextmanager
@@ -559,7 +566,6 @@ def test_a_step_is_one_picture_in_3d_though_its_cameras_come_before_the_rest(
             time.sleep(0.05)  # by then the cameras are long sent
 
     monkeypatch.setattr(type(server), "atomic", late)
-    pane = next(frame for frame in page.frames if "/view/" in frame.url)
     for number in range(1, 4):
         pane.evaluate("window.pictures = 0")
         page.keyboard.press(".")
