@@ -205,6 +205,14 @@ def test_broken_csv(tmp_path: Path, old: str, new: str, words: str) -> None:
         read(path, READING)
 
 
+def test_a_table_of_unknown_columns_is_refused_in_a_short_line(tmp_path: Path) -> None:
+    path = tmp_path / "map.csv"
+    path.write_text(",".join(f"column {number}" for number in range(500)) + "\n")
+    with pytest.raises(SemvizError) as refused:
+        read(path)
+    assert len(str(refused.value)) < 1000 + len(str(path))
+
+
 def test_a_plain_table(tmp_path: Path) -> None:
     path = tmp_path / "town.csv"
     path.write_bytes(b"\xef\xbb\xbfclass,anchor_x_m,anchor_y_m,anchor_z_m,note\nround,1,2,3,x\n")

@@ -299,11 +299,18 @@ def how_to_map(name: str) -> str:
     return f"say --class-map {shlex.quote(f'{shown}=CLASS')}"
 
 
+_MOST_DROPPED = 8
+"""Kinds of dropped content that one line of an error names."""
+
+
 def map_of(parsed: ParsedMap, context: MapImportContext, made_by: str) -> SemanticMap:
     """Return the map of the parsed elements. Raise SemvizError if there are none."""
     rows, tally = parsed.elements, parsed.tally
     if not rows:
-        dropped = ", ".join(f"{count} x {what}" for what, count in tally.dropped.items())
+        listed = sorted(tally.dropped.items(), key=lambda pair: -pair[1])
+        dropped = ", ".join(f"{count} x {what}" for what, count in listed[:_MOST_DROPPED])
+        if len(listed) > _MOST_DROPPED:
+            dropped += f" and {len(listed) - _MOST_DROPPED} more"
         raise SemvizError(
             "holds no pole and no sign that can be read" + (dropped and f": {dropped}")
         )
