@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -167,16 +168,18 @@ def test_a_street_that_does_not_change_is_found_unchanged(world: ChangingStreet)
 
 
 def test_the_changed_map_is_that_of_the_changed_street(
-    world: ChangingStreet, found: MapChanges, tmp_path: "pytest.TempPathFactory"
+    world: ChangingStreet, found: MapChanges, tmp_path: Path
 ) -> None:
     changed = found.changed_map()
     save_map(changed, tmp_path / "next.parquet")
-    diff = diff_maps(world.first_map, load_map(tmp_path / "next.parquet")).as_dict()
+    diff = diff_maps(world.first_map, load_map(tmp_path / "next.parquet"))
     assert len(changed) == len(world.first_map)
     assert world.vanishes.keys().isdisjoint(changed.elements.id.tolist())
     (moved,) = world.moves
     assert np.linalg.norm(place_m(changed, moved) - place_m(world.street.truth_map, moved)) < 0.4
-    assert diff
+    told = diff.as_text()
+    assert world.first_map.name_of(*world.vanishes) in told
+    assert world.first_map.name_of(moved) in told
 
 
 def test_a_kept_element_stays_as_it_is(world: ChangingStreet, found: MapChanges) -> None:

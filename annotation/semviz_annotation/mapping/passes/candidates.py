@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -12,9 +13,13 @@ from semviz_annotation.labels.proposal import ProcessedImages, Proposal
 from semviz_annotation.labels.proposals import Proposals
 from semviz_annotation.mapping.association.detection_tracks import TrackOptions, detection_labels
 from semviz_annotation.mapping.association.merging import LinkOptions
-from semviz_annotation.mapping.association.tracks import find_tracks, finish_detected
+from semviz_annotation.mapping.association.tracks import (
+    OnProgress,
+    find_tracks,
+    finish_detected,
+)
 from semviz_annotation.mapping.build import BuildOptions, map_elements
-from semviz_annotation.mapping.passes.evidence import OnProgress, Pass, unexplained
+from semviz_annotation.mapping.passes.evidence import Pass, unexplained
 from semviz_annotation.mapping.placement.observations import collect_observations
 from semviz_core.base.camera import Rig
 from semviz_core.base.elements import Elements3D, joined
@@ -51,12 +56,11 @@ def candidates(
     passes: Sequence[Pass], semantic_map: SemanticMap, labels: Labels, on_progress: OnProgress
 ) -> Elements3D:
     """Return one element for each thing that passes see and the map lacks; their ids go on from
-    those of the map. ``labels`` say what classes there are, and what is a triangle's middle."""
+    those of the map. Each pass has a sure frame. ``labels`` say what classes there are."""
     found = _Clusters()
     for number, one in enumerate(passes):
         on_progress("looking for what is not in the map", number, len(passes))
-        if len(one.sure):
-            found.add(_built(one, semantic_map, labels))
+        found.add(_built(one, semantic_map, labels))
     ids = semantic_map.elements.id
     return found.elements(int(ids.max()) + 1 if len(ids) else 1)
 
@@ -129,12 +133,8 @@ class _Clusters:
 
     def elements(self, first_id: int) -> Elements3D:
         """Return the clusters as elements with ids from ``first_id`` on."""
-        if not self._found:
-            return NO_ELEMENTS
-        every = self._found[0].best
-        for cluster in self._found[1:]:
-            every = joined(
-                replace(every, id=np.arange(len(every))),
-                replace(cluster.best, id=np.array([len(every)])),
-            )
-        return replace(every, id=first_id + np.arange(len(every)))
+        named = (
+            replace(cluster.best, id=np.array([first_id + number]))
+            for number, cluster in enumerate(self._found)
+        )
+        return reduce(joined, named, NO_ELEMENTS)

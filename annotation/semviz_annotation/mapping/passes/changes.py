@@ -8,14 +8,16 @@ in the map as it is; so does what none of them saw, which may be hidden from the
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.rows import derived_id
+from semviz_annotation.mapping.association.tracks import OnProgress
 from semviz_annotation.mapping.passes.candidates import candidates
-from semviz_annotation.mapping.passes.evidence import OnProgress, Pass, counts_of
+from semviz_annotation.mapping.passes.evidence import Pass, counts_of
 from semviz_annotation.mapping.passes.existence import Existence, PassCounts, existence_of
 from semviz_core.base.elements import Elements3D, joined
 from semviz_core.base.semantic_map import Decision, Provenance, SemanticMap, footprint_m
@@ -113,14 +115,10 @@ class MapChanges:
 
     def _without(self, vanished: Sequence[Change]) -> tuple[Elements3D, list[Provenance]]:
         base = self.semantic_map
-        gone = {change.name for change in vanished}
-        stays = [
-            row
-            for row, id_ in enumerate(base.elements.id.tolist())
-            if base.name_of(id_) not in gone
-        ]
+        gone = [self._id_of[change.name] for change in vanished]
+        stays = np.flatnonzero(~np.isin(base.elements.id, gone))
         origin = base.provenance or (Provenance(),) * len(base)
-        return base.elements[np.array(stays, np.int64)], [origin[row] for row in stays]
+        return base.elements[stays], [origin[row] for row in stays.tolist()]
 
     def _with(
         self, elements: Elements3D, provenance: list[Provenance], change: Change
@@ -129,14 +127,17 @@ class MapChanges:
         if change.kind == "new":
             source = Provenance((derived_id(f"{change.name} of {self.passes}"),), (), 9.0)
             return joined(elements, one), [*provenance, source]
-        names = {
-            self.semantic_map.name_of(id_): id_ for id_ in self.semantic_map.elements.id.tolist()
-        }
-        row = int(np.flatnonzero(elements.id == names[change.name])[0])
+        row = int(np.flatnonzero(elements.id == self._id_of[change.name])[0])
         others = np.delete(np.arange(len(elements)), row)
         moved = joined(elements[others], replace(one, id=elements.id[[row]]))
         back = np.argsort(np.append(others, row), kind="stable")
         return moved[back], provenance
+
+    @cached_property
+    def _id_of(self) -> dict[str, int]:
+        """The ids of the elements of the map, by name."""
+        base = self.semantic_map
+        return {base.name_of(id_): id_ for id_ in base.elements.id.tolist()}
 
     def _decisions(self, made: Sequence[Change]) -> Iterator[Decision]:
         for change in made:
@@ -164,17 +165,11 @@ def find_changes(
             "change: give 2 or more"
         )
     extra = candidates(passes, semantic_map, labels, on_progress)
-    whole = _with_candidates(semantic_map, extra)
-    counts = counts_of(passes, whole)
+    whole = joined(semantic_map.elements, extra)
+    counts = counts_of(passes, replace(semantic_map, elements=whole, provenance=(), attributes={}))
     found = existence_of(counts, np.arange(len(whole)) < len(semantic_map))
     names = tuple(one.name for one in passes)
-    return _named(semantic_map, extra, counts, found, names)
-
-
-def _with_candidates(semantic_map: SemanticMap, extra: Elements3D) -> SemanticMap:
-    return replace(
-        semantic_map, elements=joined(semantic_map.elements, extra), provenance=(), attributes={}
-    )
+    return _named(semantic_map, whole, counts, found, names)
 
 
 class _Moved(NamedTuple):
@@ -185,18 +180,18 @@ class _Moved(NamedTuple):
 
 def _named(
     semantic_map: SemanticMap,
-    extra: Elements3D,
+    whole: Elements3D,
     counts: PassCounts,
     found: Existence,
     passes: tuple[str, ...],
 ) -> MapChanges:
+    """Name what changed; ``whole`` are the elements of the map, then the candidates."""
     n, now = len(semantic_map), found.now
     met, seen = counts.chances[:n].any(axis=1), counts.seen[:n].any(axis=1)
     is_gone = (now[:n] < GONE) & seen
     vanished = np.flatnonzero(is_gone)
     doubtful = np.flatnonzero((now[:n] < LIKELY) & met & ~is_gone)
     appeared = n + np.flatnonzero(now[n:] > SURE)
-    whole = joined(semantic_map.elements, extra)
     moved = _moved(whole, vanished, appeared)
     taken = {pair.new for pair in moved.values()}
     new = [row for row in appeared.tolist() if row not in taken]
@@ -210,7 +205,7 @@ def _named(
     order = sorted(changes, key=lambda each: (KINDS.index(each.kind), _doubt(each), each.name))
     replaced = {f"n-{number:02d}": row - n for number, row in enumerate(new, 1)}
     replaced |= {describe.name(row): pair.new - n for row, pair in moved.items()}
-    return MapChanges(semantic_map, passes, tuple(order), extra, replaced)
+    return MapChanges(semantic_map, passes, tuple(order), whole[n:], replaced)
 
 
 def _doubt(change: Change) -> float:
@@ -278,7 +273,7 @@ class _Describer:
             moved_m=pair.distance_m,
         )
 
-    @property
+    @cached_property
     def place_m(self) -> FloatArray:
         return footprint_m(self.whole)
 

@@ -1,7 +1,8 @@
 """Where the frames of a pass should see the elements of a map, and where they do."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -13,8 +14,6 @@ from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.diagnosis.reference import FrameReference
 
-OnProgress = Callable[[str, int, int], None]
-"""Gets what is done, how many of it are, and their number."""
 _SCALE_RANGE = (0.3, 1.5)
 
 
@@ -28,7 +27,7 @@ class Pass:
     """One for each frame."""
     detector: DetectorModel
 
-    @property
+    @cached_property
     def sure(self) -> list[tuple[Frame, Localization]]:
         """The frames whose estimated pose is sure; no true pose is used."""
         return [
