@@ -53,7 +53,9 @@ if hasattr(os, "register_at_fork"):  # a fork inherits the count
 
 def compiled(function: Function) -> Function:
     """Return ``function``, compiled on its first call with new types, without Python's lock."""
-    dispatcher: Function = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    dispatcher: Function = numba.njit(
+        cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True
+    )(function)
     locked = _in_one_process(dispatcher.compile, function)  # type: ignore[attr-defined]
     dispatcher.compile = locked  # type: ignore[attr-defined]
     return dispatcher
