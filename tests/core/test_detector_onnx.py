@@ -273,6 +273,7 @@ MUTATIONS: dict[str, Mutation] = {
     "too many": ({"labels": 10**12}, r"labels: 1000000000000 of them"),
     "layout": ({"kind": "yolo-v8"}, r"shape \(1, 3, 32, 64\); with 3 labels it is \(1, 7, boxes\)"),
     "its class": ({"classes": {"tree": "pole"}}, r"the model has no class 'tree'; it has road"),
+    "lines": ({"labels": ["a\nb", "c", "d"], "classes": {"tree": "pole"}}, r"has a\\nb, c, d"),
     "our class": ({"classes": {"pole": "mast"}}, r"'pole' cannot be 'mast'; known are sign, ig"),
     "nothing": ({"classes": {"pole": "ignore"}}, r"no class of the model is a pole or a sign"),
 }

@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from semviz_core.base.classes import ClassSet
 from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError, require_extra
-from semviz_core.common.limits import first_line, read_toml
+from semviz_core.common.limits import first_line, read_toml, shown
 
 SIGN = -1
 """A sign of unknown shape."""
@@ -93,7 +93,9 @@ def _index(labels: Sequence[str], label: str, path: Path) -> int:
     if label.isdecimal() and int(label) < len(labels):
         return int(label)
     some = ", ".join(labels[:20]) + (", ..." if len(labels) > 20 else "")
-    raise SemvizError(f"{path}: classes: the model has no class {label!r}; it has {some}")
+    raise SemvizError(
+        f"{path}: classes: the model has no class {shown(label)!r}; it has {shown(some)}"
+    )
 
 
 Settings = TypeVar("Settings", bound=BaseModel)
