@@ -252,7 +252,7 @@ def test_the_jump_list_leads_to_where_the_detector_disagrees(
     with annotating(workspace) as served:
         driver = LabelDriver(page)
         driver.open(served.url)
-        page.click("#jumps .row:has-text('Detector disagrees'):has-text('1 new, 0 missed')")
+        page.click("#jumps .row:has-text('Detector disagrees'):has(.dim:text-is('1'))")
         page.wait_for_selector('.tile.current[data-frame="3"]')
         page.wait_for_function("() => semviz.state.currentProposal?.name === 'new rounded sign'")
         page.goto("about:blank")

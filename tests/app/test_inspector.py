@@ -88,7 +88,7 @@ def test_page_shows_the_run_and_its_worst_frame_first(url: str, page: "Page", ru
     number = page.locator("#frame-number")
     wait_for(page, lambda: number.text_content() == f"Frame {FAILED} of 18", "the worst frame")
     open_page(page, url)
-    matrix = page.locator("#matrix-about").text_content()
+    matrix = page.locator("#matrix-about").get_attribute("title")
     seen, mapped = len(run.frames[0].localization.observed), len(run.frames[0].localization.submap)
     assert matrix == f"{seen} detected × {mapped} mapped"
     image = pixels(page, "#image-canvas")

@@ -42,7 +42,7 @@ export const JUMPS = {
   disagree: {
     title: "Detector disagrees", has: ({ disagreement }) => (disagreement?.weight ?? 0) > 0,
     rank: ({ disagreement }) => -(disagreement?.weight ?? 0),
-    summary: ([first]) => (first?.disagreement ? `${first.disagreement.new} new, ${first.disagreement.missed} missed` : "none"),
+    summary: (frames) => frames.length,
     element: ({ disagreement }) => disagreement?.worst_id,
   },
 };

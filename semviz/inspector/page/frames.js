@@ -15,7 +15,7 @@ import { flag, memberOf, numberOf, textOf, wholeNumber, yes } from "./address.js
 
 /** @type {Status[]} */
 const STATUSES = ["ok", "ambiguous", "cannot"];
-const ROW_PX = 26;
+const ROW_PX = 36; // two lines of a diagnosis
 
 /** @typedef {FrameRow["status"]} Status */
 /** @typedef {FrameRow & {position: number}} PlacedRow */
@@ -265,7 +265,7 @@ function listRow(group) {
     statusMark(group.status),
     el("span", { class: "index", text: group.index }),
     el("span", { class: group.overconfident ? "wrong" : "", text: errorText(group) }),
-    el("span", { class: "diagnosis", text: group.noticed ? `${group.diagnosis} · ${group.noticed}` : group.diagnosis }),
+    el("span", { class: "diagnosis", text: group.noticed || group.diagnosis }),
     el("span", { class: "count", text: group.members.length > 1 ? `${group.members.length}×` : "" }));
 }
 

@@ -19,8 +19,8 @@
 
 /** @type {Record<Mode, {title: string, pose: "estimate" | "truth", magnification: number}>} */
 const MODES = {
-  estimate: { title: "map projected with the estimate", pose: "estimate", magnification: 8 },
-  truth: { title: "map projected with the true pose", pose: "truth", magnification: 8 },
+  estimate: { title: "map at the estimate", pose: "estimate", magnification: 8 },
+  truth: { title: "map at the true pose", pose: "truth", magnification: 8 },
   pairs: { title: "pairs", pose: "truth", magnification: 1 },
   error: { title: "map from true pose to estimate", pose: "estimate", magnification: 1 },
 };
@@ -167,9 +167,9 @@ export class ImageModel {
   /** One line that describes what is drawn, or why it is not. */
   get about() {
     if (!this.isPossible) return MISSING[this.mode];
-    const title = this.mode === "pairs" ? this.#countPairs() : `${MODES[this.mode].title}, ${this.#countInView()}`;
+    const title = this.mode === "pairs" ? this.#countPairs() : MODES[this.mode].title;
     const [missed, wrong] = [this.missedDetections.length, this.falsePositives.length];
-    const counts = [missed && `${missed} missed`, wrong && count(wrong, "false positive")].filter(Boolean);
+    const counts = [missed && `${missed} missed`, wrong && count(wrong, "false positive"), this.mode !== "pairs" && this.#countInView()].filter(Boolean);
     return this.hasVectors ? [title, ...counts].join(", ") : `detections are of the left image; ${title}`;
   }
 
@@ -180,7 +180,7 @@ export class ImageModel {
 
   #countInView() {
     const inView = this.frame.mapped.filter((_, row) => this.place(row)).length;
-    return `${inView} of ${this.frame.mapped.length} in view`;
+    return inView < this.frame.mapped.length ? `${inView} of ${this.frame.mapped.length} in view` : "";
   }
 
   /** Why a selected map element is not in the image; empty if it is.

@@ -74,9 +74,8 @@ export class MatrixPanel {
     this.hovered = null;
     this.model = frame.matrix ? new MatrixModel(frame, frame.matrix) : null;
     this.bitmap = this.model && this.style ? bitmapOf(this.model, this.style.ramp) : null;
-    const about = this.model ? `${this.model.m} detected × ${this.model.n} mapped` : "";
-    byId("matrix-about").textContent = about;
-    byId("matrix-about").title = about;
+    byId("matrix-about").textContent = this.model ? `${this.model.m} × ${this.model.n}` : "";
+    byId("matrix-about").title = this.model ? `${this.model.m} detected × ${this.model.n} mapped` : "";
     byId("matrix-none").hidden = this.model !== null;
     byId("matrix-csv").hidden = !this.model;
     const query = new URLSearchParams({ run: this.page.store.run.name, position: String(frame.position) });
