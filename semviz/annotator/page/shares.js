@@ -30,6 +30,11 @@ export class Shares {
     return this.known.flatMap(({ ready }) => ready).sort((a, b) => a - b);
   }
 
+  /** Frames to be merged, those whose labels differ most first. */
+  get worstFirst() {
+    return this.known.flatMap(({ ready, worst_px: px }) => ready.map((frame, at) => ({ frame, px: px[at] }))).sort((a, b) => b.px - a.px).map(({ frame }) => frame);
+  }
+
   /** Frames that a person labels blind.
    *
    * @param {string} name
