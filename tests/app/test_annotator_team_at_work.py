@@ -104,6 +104,7 @@ def test_theirs_is_kept_and_they_are_asked(pages: dict[str, "Page"], served: Ser
 def test_the_page_follows_somebody_until_one_goes_elsewhere(pages: dict[str, "Page"]) -> None:
     tester, mara = pages["tester"], pages["mara"]
     tester.wait_for_selector(".person[title*='mara (annotate): frame']", timeout=WAIT_MS)
+    tester.keyboard.press("F8")
     tester.keyboard.press("Shift+L")
     tester.wait_for_selector("#message:has-text('Following mara')")
     for frame in (1, 2):

@@ -41,7 +41,7 @@ export class People {
 
   /** @returns {Command[]} */
   commands() {
-    return [{ key: "l", shift: true, group: "General", title: "Follow somebody, or nobody any more", words: "people presence watch", run: () => this.toggle() }];
+    return [{ key: "l", shift: true, view: "team", group: "Team", title: "Follow somebody, or nobody any more", words: "people presence watch", run: () => this.toggle() }];
   }
 
   /** Follows somebody: the page goes to each frame they go to, until one goes elsewhere oneself.
@@ -56,7 +56,7 @@ export class People {
     if (!stops && !here.includes(chosen)) page.notify(name ? `${name} is away.` : "Nobody else is here.", "wrong");
     this.followed = stops || !here.includes(chosen) ? "" : chosen;
     this.led = state.frame;
-    if (this.followed) page.notify(`Following ${this.followed}: ${page.keys.shown("Shift L")}, or going elsewhere, ends it.`);
+    if (this.followed) page.notify(`Following ${this.followed} until you go elsewhere.`);
     this.#lead([]);
     state.set({});
   }
