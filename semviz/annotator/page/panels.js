@@ -195,7 +195,7 @@ export class Panels {
   #notes(element) {
     if (!element?.notes?.length) return null;
     return el("div", { class: "card-notes" }, ...element.notes.map(({ id, author, text, unsure }) => el("p", {},
-      el("span", { class: "warning", text: "◆ " }), el("b", { text: author }), ` ${text || (unsure ? "unsure" : "")}`,
+      el("span", { class: "warning", text: "◆" }), el("b", { text: author }), el("span", { class: "fill", text: text || (unsure ? "unsure" : "") }),
       el("button", { class: "small", title: "Answered: delete this comment", "aria-label": "Delete this comment", onclick: () => this.page.submit({ kind: "delete note", note_id: id }), text: "✕" }))));
   }
 

@@ -207,9 +207,10 @@ export class Team {
     const { known, cache, state } = this;
     const { frame } = state;
     for (const id of ["team-assign", "team-twice"]) byId(id).hidden = !this.mayReview;
+    byId("team-comment").hidden = state.workspace.role === "look";
     const isReady = frame !== null && this.shares.ready.includes(frame);
     this.compared.ask(this.mayReview && (isReady || this.versions) ? frame : null, state.labels.operation);
-    cache.show("team-people", [known?.people, known?.reviewed, known?.done_on, this.shares.known, this.page.people.known, state.selected?.element], () => (known ? peopleRows(this, known) : [el("p", { class: "dim team-text", text: "Reading …" })]));
+    cache.show("team-people", [known?.people, known?.reviewed, known?.done_on, this.shares.known, this.page.people.known, state.selected?.element, state.connected], () => (known ? peopleRows(this, known) : [el("p", { class: "dim team-text", text: reading(state.connected) })]));
     for (const id of ["team-person", "twice-first", "twice-second"]) {
       const before = byId(id, HTMLSelectElement).value;
       cache.show(id, known?.people.map(({ name }) => name), () => known?.people.map(({ name }, at) => el("option", { value: name, text: name, selected: name === before || (!before && id === "twice-second" && at === 1) ? "" : null })) ?? []);
@@ -231,7 +232,7 @@ export class Team {
   /** Shows the chosen list: thousands of frames, of which those in sight are in the page. */
   #showQueue() {
     const { listed, known, state } = this;
-    const shown = [known, listed, state.theme, listed === "twice" ? state.frame : 0];
+    const shown = [known, listed, state.theme, state.connected, listed === "twice" ? state.frame : 0];
     if (shown.some((value, at) => value !== this.shownQueue[at])) {
       this.shownQueue = shown;
       this.rows = listed === "twice" ? [] : this.queue;
@@ -250,7 +251,7 @@ export class Team {
   #instead() {
     if (this.listed === "twice") return /** @type {Node[]} */ (this.shares.rows());
     const [, , accepted] = this.#counts();
-    const text = this.known === null ? "Reading …" : this.listed === "waiting" ? `Nothing waits. ${accepted} accepted.` : `No frame is ${this.listed}.`;
+    const text = this.known === null ? reading(this.state.connected) : this.listed === "waiting" ? `Nothing waits. ${accepted} accepted.` : `No frame is ${this.listed}.`;
     return [el("p", { class: "dim team-text", text })];
   }
 
@@ -329,3 +330,6 @@ export class Team {
     return [hint(["Shift ."], "next in the queue"), hint(["Enter"], "accept"), hint(["Shift N"], "send back"), hint(["Shift I"], "pin a comment"), hint(["Z"], "zoom to the pin"), hint(["V"], "two versions"), hint(["F2"], "open in Images"), hint(["Shift L"], followed ? `stop following ${followed}` : "follow"), hint(["Shift G"], "assign frames"), hint(["Shift T"], "label twice")];
   }
 }
+
+/** What stands where the work of all is still to come. */
+const reading = (/** @type {boolean} */ connected) => (connected ? "Reading …" : "No connection. This loads when the server is back.");
