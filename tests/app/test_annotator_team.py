@@ -174,6 +174,12 @@ def test_people_see_where_the_others_are_and_the_revoked_are_gone(
     tester.click(".person[title*='mara']")
     tester.wait_for_function("() => semviz.state.frame === 1")
     assert "2 here" in (tester.text_content("#people") or "")
+    for width in (1401, 1500, 1701):  # the bar ends with one's own name, whole
+        tester.set_viewport_size({"width": width, "height": 900})
+        ends = "['author', 'help'].map((id) => document.getElementById(id).getBoundingClientRect())"
+        assert tester.evaluate(f"{ends}.every((box) => box.right <= innerWidth && box.width > 20)")
+        assert tester.evaluate("author.scrollWidth <= author.clientWidth + 1")
+    tester.set_viewport_size({"width": 1280, "height": 720})
     draw_on(mara, 1, 100.0)
     people.revoke("mara")
     mara.wait_for_function("() => !semviz.state.connected", timeout=WAIT_MS)
