@@ -87,7 +87,8 @@ export class Shares {
   }
 
   /** @param {annotator.ShareView} share */
-  #figures({ people, agreement }) {
+  #figures({ people, agreement, ready, worst_px: px }) {
+    const worst = ready[px.indexOf(Math.max(...px))];
     if (!agreement) return [];
     if (agreement.labels < NEEDED) return [el("p", { class: "dim team-text", text: `Agreement: ${counted(agreement.labels, "pair")} of labels, ${NEEDED} needed.` })];
     const { both, elements, missed, other_class: other, labels, same_ends: ends, identical } = agreement;
@@ -100,7 +101,8 @@ export class Shares {
         fact("Missed", people.map((name, at) => `${name} ${missed[at]}`).join(", ")),
         fact("Same class", `${spaced(both - other)} of ${spaced(both)}`),
         fact("Same ends hidden or cut", `${spaced(ends)} of ${spaced(labels)}`),
-        fact("At the very same place", `${spaced(identical)} of ${spaced(labels)}`)),
+        fact("At the very same place", `${spaced(identical)} of ${spaced(labels)}`),
+        worst !== undefined ? fact("Worst to be merged", `frame ${worst}`) : null),
     ];
   }
 }
