@@ -5,8 +5,7 @@
 
 The workspace is synthetic: a straight drive past elements that 36 frames show in both images. The
 peer is an HTML table of the same cells, drawn by the same browser in the same run. A frame of the
-screen takes 16.7 ms at 60 Hz; without a graphics card the browser draws on the processor. The
-processor time of the page's thread does not depend on what else the machine does. One run.
+screen takes 16.7 ms at 60 Hz; without a graphics card the browser draws on the processor. One run.
 """
 
 import os
@@ -154,27 +153,14 @@ def measure(page: Page, url: str, options: Options) -> None:
     print(f"{'F3 to all that is proposed':<44} {time.perf_counter() - start:6.2f} s", flush=True)
     for columns, what in ((88, "88 frames on screen"), (options.frames, "the whole drive")):
         page.evaluate(f"() => semviz.tracks.matrix.look(0, {columns}, 0)")
-        before = _processor_ms(page)
         draws, intervals, long = page.evaluate(SCROLL, options.steps)
-        busy = (_processor_ms(page) - before) / options.steps
         report(f"draw, {what}", draws)
         report(f"between two frames, {what}", intervals)
-        print(f"{f'processor time of the page a frame, {what}':<58} {busy:6.1f} ms")
-        print(f"{f'tasks over 50 ms in {options.steps} frames, {what}':<58} {long:6}")
+        print(f"{f'tasks over 50 ms in {options.steps} frames, {what}':<44} {long:6}")
     _edits(page)
     made, intervals = page.evaluate(TABLE, options.steps)
     print(f"{'peer: HTML table, made in':<44} {made / 1000:6.2f} s")
     report("peer: between two frames", intervals)
-
-
-def _processor_ms(page: Page) -> float:
-    """Processor time of all tasks of the page's thread so far, which others on the machine do not
-    lengthen."""
-    session = page.context.new_cdp_session(page)
-    session.send("Performance.enable", {"timeDomain": "threadTicks"})
-    metrics = session.send("Performance.getMetrics")["metrics"]
-    session.detach()
-    return 1000.0 * float(next(one["value"] for one in metrics if one["name"] == "TaskDuration"))
 
 
 def _edits(page: Page) -> None:
