@@ -42,6 +42,9 @@ async (steps) => {
     draw(...all);
     draws.push(performance.now() - start);
   };
+  let long = 0;
+  const observer = new PerformanceObserver((list) => { long += list.getEntries().length; });
+  observer.observe({ entryTypes: ['longtask'] });
   let last = await new Promise(requestAnimationFrame);
   for (let step = 0; step < steps; step += 1) {
     matrix.look(step * 3, matrix.columns, step * 1.5);
@@ -50,7 +53,8 @@ async (steps) => {
     last = now;
   }
   matrix.surface._draw = draw;
-  return [draws, intervals];
+  observer.disconnect();
+  return [draws, intervals, long];
 }
 """
 TABLE = """
@@ -149,9 +153,10 @@ def measure(page: Page, url: str, options: Options) -> None:
     print(f"{'F3 to all that is proposed':<44} {time.perf_counter() - start:6.2f} s", flush=True)
     for columns, what in ((88, "88 frames on screen"), (options.frames, "the whole drive")):
         page.evaluate(f"() => semviz.tracks.matrix.look(0, {columns}, 0)")
-        draws, intervals = page.evaluate(SCROLL, options.steps)
+        draws, intervals, long = page.evaluate(SCROLL, options.steps)
         report(f"draw, {what}", draws)
         report(f"between two frames, {what}", intervals)
+        print(f"{f'tasks over 50 ms in {options.steps} frames, {what}':<44} {long:6}")
     _edits(page)
     made, intervals = page.evaluate(TABLE, options.steps)
     print(f"{'peer: HTML table, made in':<44} {made / 1000:6.2f} s")

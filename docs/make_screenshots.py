@@ -28,7 +28,7 @@ from semviz.commands.runs import LocalizeCommand, ReportCommand
 from semviz.inspector.server import Inspector
 from semviz.runs.reader import load_run
 from semviz.web.gateway import Gateway
-from semviz.workspace.blind import blind_workspace
+from semviz.workspace.blind import BlindWorkspace, blind_workspace
 from semviz.workspace.demo import MAP, RUN, SEED, ensure_demo
 from semviz.workspace.people import People
 from semviz.workspace.workspace import Workspace
@@ -383,7 +383,9 @@ def take_team(page: Page) -> None:
 def label(workspace: Workspace, name: str, frames: range, sigma_px: float) -> None:
     """Label frames as a careful person does, who overlooks a few elements, and review them."""
     seed = sum(name.encode())
-    made = label_street(careful(Street(7), sigma_px, seed), frames, memory=len(FRAMES)).labels
+    street = (workspace.outer if isinstance(workspace, BlindWorkspace) else workspace).source
+    assert isinstance(street, Street)
+    made = label_street(careful(street, sigma_px, seed), frames, memory=len(FRAMES)).labels
     with workspace.open_labels() as store:
         kept = tuple(
             row

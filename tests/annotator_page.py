@@ -5,26 +5,33 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from drawn_marks import do, sign
+from journeys.driver import EMPTY_PAGE, LabelDriver
 
 from semviz.annotator.server import Annotator
 from semviz.annotator.session import LabelSession
 from semviz.web.gateway import Gateway
+from semviz.workspace.people import People, Role
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.detections import as_proposals
-from semviz_annotation.labels.labels import Labels, Observation
+from semviz_annotation.labels.labels import Labels, Observation, new_id
 from semviz_annotation.labels.proposal import Proposal
 from semviz_annotation.labels.proposals import Proposals
 from semviz_core.base.frame import Side
 from semviz_core.simulation.street import Street
 
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
 SIDES: tuple[Side, Side] = ("left", "right")
+WAIT_MS = 60_000
 
 
 @dataclass
@@ -60,6 +67,39 @@ def draw_signs(workspace: Workspace, places: list[tuple[int, float]], author: st
     for frame, u in places:
         do(session, sign(frame, "left", (u, 40.0), class_id=3))
     session.close()
+
+
+@contextmanager
+def opened_pages(
+    chromium: "Browser", url: str, owner: str, people: People, guests: Mapping[str, Role]
+) -> Iterator[dict[str, "Page"]]:
+    """The page of who started the server at ``url``, and one of each guest, by name."""
+    base, opened = url.split("?")[0], {}
+    invited = {name: f"{base}?token={people.invite(name, role)}" for name, role in guests.items()}
+    for name, address in {owner: url, **invited}.items():
+        page = chromium.new_context(viewport={"width": 1280, "height": 720}).new_page()
+        page.route("**/view/**", lambda route: route.fulfill(body=EMPTY_PAGE))
+        LabelDriver(page).open(address)
+        opened[name] = page
+    yield opened
+    for page in opened.values():
+        page.context.close()
+
+
+def draw_on(page: "Page", frame: int, u: float) -> None:
+    """Draw a rounded sign at (u, 40) of the left image of a frame, and wait until it is saved."""
+    page.evaluate(
+        """([frame, u, observation, element]) => semviz.submit({
+          kind: 'draw', observation_id: observation, element_id: element, frame_index: frame,
+          side: 'left', anchor_px: [u, 40], end_px: null, end_known: false, class_id: 3 })""",
+        [frame, u, new_id(), new_id()],
+    )
+    settled(page)
+
+
+def settled(page: "Page") -> None:
+    """Wait until the page has no unsaved edit."""
+    page.wait_for_function("() => !semviz.state.pending.length", timeout=WAIT_MS)
 
 
 class Killable:

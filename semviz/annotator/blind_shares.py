@@ -6,20 +6,22 @@ compared, and no longer changes in their files.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from semviz.workspace.blind import blind_workspace
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.agreement import (
+    MATCH_PX,
     ElementPair,
     LabelAgreement,
     agreement_in,
     changed_in,
     pairs_in,
 )
+from semviz_annotation.labels.edits import SetAttribute
 from semviz_annotation.labels.labels import Labels
-from semviz_annotation.labels.rows import REVIEWED
-from semviz_annotation.storage.closed_frames import WhyClosed
+from semviz_annotation.labels.rows import REVIEWED, Note
+from semviz_annotation.storage.closed_frames import WhyClosed, is_untouched, why_until_merged
 from semviz_annotation.storage.store import LabelStore
 from semviz_annotation.storage.teamwork import BlindShare, share_text
 from semviz_core.common.errors import SemvizError
@@ -53,6 +55,20 @@ class Compared:
     """When; empty of frames labelled blind."""
     is_blind: bool
     pairs: tuple[ElementPair, ...]
+    labels: tuple[Labels, Labels] | None = None
+    """Of both people; None for versions of one file."""
+
+    def differing(self, pair: ElementPair) -> str:
+        """Return an attribute that both gave an element with two values; empty for none."""
+        if self.labels is None or pair.first is None or pair.second is None:
+            return ""
+        ids = pair.first.id, pair.second.id
+        mine, theirs = (
+            {row.name: row.value for row in of.attributes_of(id_)}
+            for of, id_ in zip(self.labels, ids, strict=True)
+        )
+        names = [name for name in mine if theirs.get(name, mine[name]) != mine[name]]
+        return f"{names[0]}: {mine[names[0]]}, {theirs[names[0]]}" if names else ""
 
 
 class BlindShares:
@@ -105,7 +121,7 @@ class BlindShares:
             for index in self._order
             if frames[0] <= index <= frames[1]
             and index not in self._shares
-            and _is_untouched(index, labels)
+            and is_untouched(index, labels)
         ]
         if not free:
             raise SemvizError(f"no frame from {frames[0]} to {frames[1]} is without labels")
@@ -135,12 +151,22 @@ class BlindShares:
             share,
             (len(reviewed[0]), len(reviewed[1])),
             tuple(sorted({*reviewed[0]} & {*reviewed[1]})),
-            frozenset(i for i in share.frames if not _is_untouched(i, labels)),
+            frozenset(i for i in share.frames if not is_untouched(i, labels)),
         )
 
     def agreement(self, progress: ShareProgress) -> LabelAgreement:
         """Return how two people agree, in the frames that both have reviewed."""
         return agreement_in(progress.both, *map(self.labels_of, progress.share.people))
+
+    def worst_px(self, share: BlindShare, frame_index: int) -> float:
+        """Return how far two people's labels of a frame are apart, where they are farthest.
+
+        An element that one alone labelled counts as ``MATCH_PX``: pairs are nearer.
+        """
+        pairs = pairs_in(frame_index, *map(self.labels_of, share.people))
+        return max(
+            (MATCH_PX if _wants_a_look(pair)[0] else pair.worst_px for pair in pairs), default=0.0
+        )
 
     def compared(self, frame_index: int) -> Compared:
         """Return two versions of a frame, the elements that are farthest apart first.
@@ -149,11 +175,12 @@ class BlindShares:
         """
         store = self._store()
         labels, share = store.labels, self._shares.get(frame_index)
-        if share is not None and _is_untouched(frame_index, labels):
+        if share is not None and is_untouched(frame_index, labels):
             if not self._both_reviewed(frame_index, share):
                 raise SemvizError(_not_compared(frame_index, share))
-            pairs = pairs_in(frame_index, *map(self.labels_of, share.people))
-            return Compared(share.people, ("", ""), True, _by_need(pairs))
+            first, second = map(self.labels_of, share.people)
+            pairs = pairs_in(frame_index, first, second)
+            return Compared(share.people, ("", ""), True, _by_need(pairs), (first, second))
         earlier = store.earlier_version(frame_index)
         if earlier is None:
             return Compared(("", ""), ("", ""), False, ())
@@ -162,6 +189,34 @@ class BlindShares:
         pairs = changed_in(frame_index, store.labels_at(earlier.number), labels)
         people, times = (earlier.author, last.author), (earlier.time, last.time)
         return Compared(people, times, False, _by_need(pairs))
+
+    def beside(
+        self, frame_index: int, elements: Mapping[str, str], of_second: frozenset[str]
+    ) -> tuple[tuple[SetAttribute, ...], tuple[Note, ...]]:
+        """Return what both wrote about elements that are merged: attributes, notes on this frame.
+
+        ``elements`` are the ids that they get, by those of ``compared``. Where both have an
+        attribute the first's counts, or the second's for elements of ``of_second``.
+        """
+        first, second = map(self.labels_of, self._shares[frame_index].people)
+        attributes, notes = [], []
+        for pair in pairs_in(frame_index, first, second):
+            known = [
+                (of, one.id) for of, one in ((first, pair.first), (second, pair.second)) if one
+            ]
+            id_ = elements.get(known[0][1])
+            if id_ is None:
+                continue
+            ordered = known if known[0][1] in of_second else known[::-1]  # the last one counts
+            values = {row.name: row.value for of, own in ordered for row in of.attributes_of(own)}
+            attributes += [SetAttribute(id_, name, value) for name, value in values.items()]
+            notes += [
+                replace(note, element_id=id_)
+                for of, own in known
+                for note in of.notes_of(own)
+                if note.frame_index == frame_index
+            ]
+        return tuple(attributes), tuple(notes)
 
     def labels_of(self, name: str) -> Labels:
         """Return what a person has labelled blind."""
@@ -184,12 +239,10 @@ class BlindShares:
 
     def _why_closed(self, frame_index: int, kind: str, labels: Labels) -> str:
         share = self._shares.get(frame_index)
-        if kind == "merge frame":
-            if share is None or not self._both_reviewed(frame_index, share):
-                return _not_compared(frame_index, share)
-        elif share is not None and _is_untouched(frame_index, labels):
-            first, second = share.people
-            return f"{first} and {second} label frame {frame_index} blind, until it is merged"
+        if kind != "merge frame":
+            return why_until_merged(frame_index, share, labels)
+        if share is None or not self._both_reviewed(frame_index, share):
+            return _not_compared(frame_index, share)
         return ""
 
     def _both_reviewed(self, frame_index: int, share: BlindShare) -> bool:
@@ -204,10 +257,6 @@ def _not_compared(frame_index: int, share: BlindShare | None) -> str:
 
 def _is_reviewed(frame_index: int, labels: Labels) -> bool:
     return labels.review(frame_index) in REVIEWED
-
-
-def _is_untouched(frame_index: int, labels: Labels) -> bool:
-    return frame_index not in labels.reviews and not labels.in_frame(frame_index)
 
 
 def _by_need(pairs: Iterable[ElementPair]) -> tuple[ElementPair, ...]:

@@ -49,6 +49,8 @@ class ShareView(Part):
     """Frames that the first, and the second, has reviewed."""
     ready: list[int]
     """Frames to be merged: both have reviewed them."""
+    worst_px: list[float]
+    """Of these, how far the labels are apart that are farthest apart; 0 for who does not review."""
     merged: int
     agreement: AgreementView | None
     """None while no frame is compared, and for who does not review."""
@@ -150,12 +152,14 @@ def share_views(shares: BlindShares, reviews: bool) -> list[ShareView]:
 def _share_view(progress: ShareProgress, shares: BlindShares, reviews: bool) -> ShareView:
     share = progress.share
     seen = reviews and progress.both
+    ready = [frame for frame in progress.both if frame not in progress.merged]
     return ShareView(
         number=share.number,
         people=share.people,
         frames=list(share.frames),
         reviewed=progress.reviewed,
-        ready=[frame for frame in progress.both if frame not in progress.merged],
+        ready=ready,
+        worst_px=[shares.worst_px(share, frame) if reviews else 0.0 for frame in ready],
         merged=len(progress.merged),
         agreement=agreement_view(shares.agreement(progress)) if seen else None,
     )
@@ -195,12 +199,14 @@ def compared_event(
         people=people,
         times=found.times,
         is_blind=found.is_blind,
-        elements=[_compared_element(pair, people, classes) for pair in found.pairs],
+        elements=[
+            _compared_element(pair, people, classes, found.differing(pair)) for pair in found.pairs
+        ],
     )
 
 
 def _compared_element(
-    pair: ElementPair, people: tuple[str, str], classes: ClassSet
+    pair: ElementPair, people: tuple[str, str], classes: ClassSet, attributes: str
 ) -> ComparedElement:
     both = pair.first, pair.second
     element = pair.first or pair.second
@@ -212,7 +218,7 @@ def _compared_element(
         names=(first, second),
         classes=(mine, theirs),
         views=[_compared_view(view, pair.same_class) for view in pair.views],
-        apart=_apart(pair, people),
+        apart=_apart(pair, people) or attributes,
     )
 
 

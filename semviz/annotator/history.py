@@ -10,10 +10,10 @@ from semviz.annotator import operation_texts, views
 from semviz.annotator.draft import LabelledFrameView
 from semviz.annotator.frame_quality import FrameQuality
 from semviz.annotator.panes import Panes
-from semviz.annotator.views import OperationView
+from semviz.annotator.views import OperationView, TeamSummary
 from semviz.web.protocol import Part, RefusedError
 from semviz.workspace.pose_choices import PoseChoices
-from semviz_annotation.labels.labels import Labels
+from semviz_annotation.labels.labels import Labels, Review
 from semviz_annotation.storage.operations import NO_HASH, LogEnd
 from semviz_annotation.storage.store import LabelStore, Operation
 
@@ -118,6 +118,7 @@ class UpdateFeed:
 
     def _start(self) -> None:
         last = self._store.end
+        self.team = team_summary(self._store)
         self._history: deque[OperationView] = deque(maxlen=HISTORY)
         """Newest first."""
         before = self._store.operations(before=last.number - HISTORY + 1, limit=1)
@@ -140,6 +141,8 @@ class UpdateFeed:
             self._changed.update(operation_texts.frames_touched(operation))
             self._changed.update(operation_texts.frames_of_decisions(operation, labels))
             self._quality.forget(operation, labels)
+            if _is_of_the_team(operation):
+                self.team = team_summary(self._store)
             self.end = LogEnd(operation.number, operation.hash)
         return list(self._history)
 
@@ -148,3 +151,24 @@ class UpdateFeed:
         changed, self._changed = self._changed, set()
         self._sent = self.end
         return changed
+
+
+def team_summary(store: LabelStore) -> TeamSummary:
+    """Return which frames were sent back, and who has which."""
+    team, labels = store.team(), store.labels
+    return TeamSummary(
+        sent_back=[
+            frame
+            for frame, writer in sorted(team.reviews.items())
+            if writer.kind == "send back" and labels.review(frame) == "in work"
+        ],
+        assigned={
+            name: [(part.first, part.last) for part in of] for name, of in team.assigned.items()
+        },
+    )
+
+
+def _is_of_the_team(operation: Operation) -> bool:
+    """Return whether an operation assigns frames, or changes what was reviewed or sent back."""
+    rows = (change.after or change.before for change in operation.changes)
+    return operation.kind == "assign" or any(isinstance(row, Review) for row in rows)

@@ -92,12 +92,15 @@ class MergeFrameEdit(protocol.Part):
     kind: Literal["merge frame"]
     frame_index: Index
     marks: list[DrawnMark]
+    of_second: tuple[Id, ...] = ()
+    """Elements of which the second person's attributes count where both have one."""
 
 
 class UndoEdit(protocol.Part):
-    """Undo the author's last edit."""
+    """Undo the author's last edit, or that of a request."""
 
     kind: Literal["undo"]
+    request: Id | None = None
 
 
 class RedoEdit(protocol.Part):
@@ -332,6 +335,12 @@ class ConflictEvent(protocol.ErrorEvent):
     """Requests of the others."""
     is_deleted: bool
     """Whether the edited observation no longer exists."""
+    operation: int
+    """The last one of the others."""
+    author: str
+    """Who wrote it."""
+    time: str
+    """When: UTC, ISO 8601."""
 
 
 class SamePlaceEvent(protocol.ErrorEvent):

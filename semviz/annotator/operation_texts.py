@@ -14,7 +14,7 @@ from semviz_annotation.labels.labels import (
     ReviewDecision,
     Row,
 )
-from semviz_annotation.labels.rows import AttributeType, ClassDeclaration, row_elements
+from semviz_annotation.labels.rows import AttributeType, ClassDeclaration, Note, row_elements
 from semviz_annotation.storage.store import Operation
 
 VERBS = {
@@ -36,7 +36,6 @@ VERBS = {
     "align labels": "Align",
     "re-snap": "Re-snap",
     "set class of views": "Class of labels of",
-    "note": "Note on",
     "delete note": "Delete a note on",
     "set attribute": "Attribute of",
 }
@@ -170,6 +169,9 @@ def _describe(operation: Operation, labels: Labels) -> str:
         return f"{operation.kind.capitalize()} {', '.join(sorted(names))}"
     if operation.kind == "restore":
         return f"Restore {operation.text}"
+    if operation.kind == "note":
+        text = next((row.text for row in _rows(operation) if isinstance(row, Note)), "")
+        return f"Note on {_subject(operation, labels)}{f': {text}' if text else ', unsure'}"
     if operation.kind == "judge":
         return _describe_decisions(operation, labels)
     verb = VERBS.get(operation.kind, operation.kind.capitalize())

@@ -19,7 +19,7 @@ from semviz.annotator.session_results import SavedEdit
 from semviz.annotator.team_requests import REVIEWING, TeamRequests, TeamServices, needs_review
 from semviz.annotator.track_requests import TrackRequests
 from semviz.annotator.track_rows import TrackFrame, TrackRow
-from semviz.annotator.views import FrameSummary, LabelsView
+from semviz.annotator.views import FrameSummary, LabelsView, label_element_name
 from semviz.web import protocol
 from semviz.web.protocol import RefusedError
 from semviz.workspace.backdrop import find_backdrop
@@ -101,6 +101,13 @@ class AnnotatorPage:
     def frame(self) -> int:
         """The frame on screen."""
         return self._frame
+
+    @property
+    def selected_name(self) -> str:
+        """Name of the selected element; empty for none."""
+        labels = self._session.labels
+        element = labels.elements.get(self._scene.selected or "")
+        return "" if element is None else label_element_name(element, labels.classes)
 
     # -- called by the web tools' sessions and by the annotator
 
@@ -390,6 +397,9 @@ def _conflict(error: ConflictError, request_id: str) -> messages.ConflictEvent:
         text=str(error),
         overwritten=list(error.overwritten),
         is_deleted=error.is_deleted,
+        operation=error.last.number,
+        author=error.last.author,
+        time=error.last.time,
     )
 
 

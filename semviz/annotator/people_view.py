@@ -14,6 +14,8 @@ class PersonView(Part):
     role: Role
     frames: list[int]
     """Those on screen, one for each page; empty while away."""
+    element: str
+    """Name of the selected element; empty for none."""
 
 
 class PeopleEvent(Event):
@@ -24,15 +26,22 @@ class PeopleEvent(Event):
 
 
 def people_views(
-    people: Mapping[str, Person], owner: str, pages: Iterable[tuple[str, int]]
+    people: Mapping[str, Person], owner: str, pages: Iterable[tuple[str, int, str]]
 ) -> list[PersonView]:
-    """Return the people by name; ``pages`` have the names of authors, and their frames."""
+    """Return the people by name; ``pages`` have authors, frames, and selected elements."""
     roles: dict[str, Role] = {name: person.role for name, person in people.items()}
     frames: dict[str, list[int]] = {name: [] for name in roles}
-    for name, frame in pages:
+    elements: dict[str, str] = {}
+    for name, frame, element in pages:
         if name in roles or name == owner:
             frames.setdefault(name, []).append(frame)
+            elements[name] = element or elements.get(name, "")
     return [
-        PersonView(name=name, role=roles.get(name, "review"), frames=sorted(set(here)))
+        PersonView(
+            name=name,
+            role=roles.get(name, "review"),
+            frames=sorted(set(here)),
+            element=elements.get(name, ""),
+        )
         for name, here in sorted(frames.items())
     ]

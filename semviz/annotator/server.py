@@ -68,6 +68,7 @@ class Annotator:
         self.shares = BlindShares(
             workspace, lambda: self.session.team.store, tuple(self.session.frames)
         )
+        self.session.beside_blind = self.shares.beside
         self.updates_queued = threading.Event()
         self._flushed = -BUSY_S
         """When updates by the edits of others were sent last."""
@@ -141,6 +142,7 @@ class Annotator:
             self.session = LabelSession(Workspace.open(old.workspace.path), old.author)
             self.session.map_work.refresh()
             self.shares.follow()
+            self.session.beside_blind = self.shares.beside
             for page in self.pages:
                 page.restart()
         self.search_thread.submit(old.close)  # after the searches that use it
@@ -191,7 +193,7 @@ class Annotator:
             return
         for person in {page.person for page in self.pages} - {"", *people}:
             self._sessions.end_of(person)
-        pages = [(page.author, page.frame) for page in self.pages]
+        pages = [(page.author, page.frame, page.selected_name) for page in self.pages]
         views = people_views(people, self.session.author, pages)
         if views == self._sent_people and not self._people_changed.is_set():
             return

@@ -4,12 +4,12 @@ An edit is on disk when its method returns. One thread at a time; the images, th
 and the map review may be used by any thread.
 """
 
-from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 
 from semviz.annotator import draft, messages, operation_texts, track_edits, track_messages, views
+from semviz.annotator.accepted_marks import accepted
 from semviz.annotator.association import (
     DraftAssociation,
     LabelBelow,
@@ -30,11 +30,10 @@ from semviz.annotator.proposal_selection import ProposalSelection
 from semviz.annotator.proposal_views import proposal_views
 from semviz.annotator.proposals import ImageQuery, inside
 from semviz.annotator.scene_view import SceneElements
-from semviz.annotator.session_results import Analyzed, SavedEdit, Write
+from semviz.annotator.session_results import Analyzed, BesideBlind, SavedEdit, Write
 from semviz.annotator.session_tracks import SessionTracks
 from semviz.annotator.team_view import TeamWork
 from semviz.annotator.track_rows import TrackRows
-from semviz.annotator.views import FrameSummary, LabelsView, WorkspaceView
 from semviz.web.protocol import RefusedError
 from semviz.workspace.people import Role
 from semviz.workspace.workspace import Workspace
@@ -106,6 +105,8 @@ class LabelSession:
             self.image_worker,
         )
         self.team = TeamWork(self._store, self._quality, tuple(self.frames))
+        self.beside_blind: BesideBlind = lambda frame_index, elements, of_second: ((), ())
+        """Attributes and notes of elements that two people labelled blind."""
         self.scene = SceneElements(lambda: self.labels, self._positions, self._reviews.tracks)
         self._feed = UpdateFeed(self._store, self._quality)
         self._sent_map_version = self.map_work.version
@@ -132,11 +133,11 @@ class LabelSession:
         """Return what is known about the label file; any thread may call it."""
         return self._store.health()
 
-    def describe(self, author: str | None = None, role: Role = "review") -> WorkspaceView:
+    def describe(self, author: str | None = None, role: Role = "review") -> views.WorkspaceView:
         """Return what seldom changes while the page of ``author`` is open."""
         return views.workspace_view(self.workspace, author or self.author, role, self.labels)
 
-    def summary(self) -> LabelsView:
+    def summary(self) -> views.LabelsView:
         """Return the state of the labels and all frames, without marks."""
         return self._view(self.labels, only_updates=False)
 
@@ -147,7 +148,7 @@ class LabelSession:
         triangulated = self._complete_version > self._sent_positions_version
         return self._feed.has_updates or map_changed or triangulated
 
-    def updates(self) -> LabelsView:
+    def updates(self) -> views.LabelsView:
         """Return the summary, with only the frames changed since the last call; send it to all
         pages."""
         self._sent_map_version = self.map_work.version
@@ -228,7 +229,8 @@ class LabelSession:
         write = partial(self._store.apply, author=author, request_id=request_id, base=base)
         match edit:
             case messages.UndoEdit():
-                return self._saved(self._store.undo(author, request_id, base=base))
+                of = edit.request and self._store.number_of(edit.request)
+                return self._saved(self._store.undo(author, request_id, of or None, base))
             case messages.RedoEdit():
                 return self._saved(self._store.redo(author, request_id, base))
             case messages.DrawEdit():
@@ -242,8 +244,7 @@ class LabelSession:
             case messages.AcceptEdit():
                 return self._saved(write(edits.AddMany(self._accepted(edit.marks))))
             case messages.MergeFrameEdit():
-                merge = edits.MergeFrame(edit.frame_index, self._accepted(edit.marks))
-                return self._saved(write(merge))
+                return self._saved(write(self._merged(edit)))
             case (
                 track_edits.AcceptTracksEdit()
                 | track_edits.RejectTracksEdit()
@@ -274,25 +275,19 @@ class LabelSession:
         return replace(self._saved(write(addition)), note=note)
 
     def _accepted(self, marks: Iterable[messages.DrawnMark]) -> tuple[edits.AddObservation, ...]:
-        """Return the edits that add marks as shown on the page: each like a drawing."""
-        by_element: dict[str, list[messages.DrawnMark]] = defaultdict(list)
-        for mark in marks:
-            by_element[mark.element_id].append(mark)
-        return tuple(row for group in by_element.values() for row in self._additions(group))
+        return accepted(marks, self.labels, lambda mark: self._addition(mark)[0])
 
-    def _additions(self, marks: list[messages.DrawnMark]) -> Iterator[edits.AddObservation]:
-        """Add the marks of one element; those of a new element join another if all of them do."""
-        additions = [self._addition(mark)[0] for mark in marks]
-        element_ids = {addition.element_id for addition in additions}
-        if len(element_ids) == 1 and all(addition.class_id is None for addition in additions):
-            yield from additions
-            return
-        element_id = marks[0].element_id
-        class_id = next(mark.class_id for mark in marks if mark.class_id is not None)
-        is_new = element_id not in self.labels.elements
-        for n, addition in enumerate(additions):
-            first = is_new and n == 0  # creates the element
-            yield replace(addition, element_id=element_id, class_id=class_id if first else None)
+    def _merged(self, edit: messages.MergeFrameEdit) -> edits.MergeFrame:
+        """Return the edit that takes labels of two people, with what is beside them."""
+        added = self._accepted(edit.marks)
+        joins = {
+            mark.element_id: row.element_id
+            for mark in edit.marks
+            for row in added
+            if row.observation_id == mark.observation_id
+        }
+        beside = self.beside_blind(edit.frame_index, joins, frozenset(edit.of_second))
+        return edits.MergeFrame(edit.frame_index, added, *beside)
 
     def _decide_tracks(self, edit: track_edits.PageTrackEdit, write: Write) -> SavedEdit:
         """Accept or reject tracks of the last map, all or none."""
@@ -366,9 +361,8 @@ class LabelSession:
         selected = SelectedElement.of(state.selected_id, state.is_chosen)
         if state.drawing is not None:
             drawing = self._snapped(state.drawing, state.frame_index, selected)
-            snapped = (
-                None if drawing is state.drawing else draft.snapped_view(state.drawing, drawing)
-            )
+            if drawing is not state.drawing:
+                snapped = draft.snapped_view(state.drawing, drawing)
             state = replace(state, drawing=drawing)
             if drawing.has_shape:
                 association = self._associate(state.frame_index, drawing, selected)
@@ -423,13 +417,13 @@ class LabelSession:
             observation, drawing.class_id, selected, here, labels, self._positions
         )
 
-    def _view(self, labels: Labels, only_updates: bool) -> LabelsView:
+    def _view(self, labels: Labels, only_updates: bool) -> views.LabelsView:
         """The summary with all frames, or with those that changed since the last update."""
         history = self._feed.history(labels)
         frames: Iterable[int] = self.frames
         if only_updates:
             frames = sorted(self._feed.take_changed_frames() & self.frames.keys())
-        return LabelsView(
+        return views.LabelsView(
             operation=self._feed.end.number,
             hash=self._feed.end.hash,
             counts=views.class_counts(labels),
@@ -439,9 +433,10 @@ class LabelSession:
             history=history,
             map=self._reviews.summary(labels),
             frames=self._summaries(labels, frames),
+            team=self._feed.team,
         )
 
-    def _summaries(self, labels: Labels, indices: Iterable[int]) -> list[FrameSummary]:
+    def _summaries(self, labels: Labels, indices: Iterable[int]) -> list[views.FrameSummary]:
         return [views.frame_summary(labels, index, self._quality.of(index)) for index in indices]
 
     def _check_frame(self, index: int) -> None:

@@ -1,16 +1,23 @@
 """What a labelling session returns: an edit on disk, a slice of its background analysis."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 from semviz.annotator.track_rows import TrackRow
 from semviz.annotator.views import FrameSummary
-from semviz_annotation.labels.edits import AnyEdit
+from semviz_annotation.labels.edits import AnyEdit, SetAttribute
+from semviz_annotation.labels.rows import Note
 from semviz_annotation.storage.store import Operation
 
 Write: TypeAlias = Callable[[AnyEdit], Operation]
 """Writes an edit in the name of whose page sent it, against what that page had shown."""
+
+BesideBlind: TypeAlias = Callable[
+    [int, Mapping[str, str], frozenset[str]], tuple[tuple[SetAttribute, ...], tuple[Note, ...]]
+]
+"""Returns attributes and notes of elements of a frame that two people labelled blind: by the ids
+that they get, and whose second person's attributes count. See ``BlindShares.beside``."""
 
 
 @dataclass(frozen=True)

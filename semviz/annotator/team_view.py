@@ -9,8 +9,7 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import Field
 
 from semviz.annotator.frame_quality import FrameQuality
-from semviz.annotator.track_rows import NoteView, note_view
-from semviz.annotator.views import label_element_name
+from semviz.annotator.views import NoteView, label_element_name, note_view
 from semviz.web.protocol import Part, Request
 from semviz.workspace.people import Person
 from semviz_annotation.labels.labels import Labels

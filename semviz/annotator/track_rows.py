@@ -14,9 +14,9 @@ import numpy as np
 from semviz.annotator.detection_tracks import DetectionTrack, OpenTracks
 from semviz.annotator.element_positions import ElementPositions, Position
 from semviz.annotator.frame_quality import FrameQuality, residual_px
-from semviz.annotator.views import ElementRef, attribute_values, element_ref
+from semviz.annotator.views import ElementRef, NoteView, attribute_values, element_ref, note_view
 from semviz.web.protocol import Part
-from semviz_annotation.labels.labels import Dismissal, LabelElement, Labels, Note, Observation
+from semviz_annotation.labels.labels import Dismissal, LabelElement, Labels, Observation
 from semviz_annotation.labels.shared_dict import SharedDict
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_core.base.frame import Side
@@ -27,18 +27,6 @@ _CODES = {"rejected": REJECTED, "occluded": HIDDEN, "absent": ABSENT}
 _MOST = 9999
 SKETCH_S = 0.3
 """How long the first answer may take to show rows whose residuals are not known yet."""
-
-
-class NoteView(Part):
-    """A note on an element."""
-
-    id: str
-    frame: int | None
-    unsure: bool
-    text: str
-    author: str
-    time: str
-    """UTC, ISO 8601."""
 
 
 class TrackRow(ElementRef):
@@ -70,18 +58,6 @@ class TrackFrame(Part):
     index: int
     left: list[int]
     right: list[int]
-
-
-def note_view(note: Note) -> NoteView:
-    """Return a note as the page shows it."""
-    return NoteView(
-        id=note.id,
-        frame=note.frame_index,
-        unsure=note.unsure,
-        text=note.text,
-        author=note.author,
-        time=note.time,
-    )
 
 
 def residual_of(

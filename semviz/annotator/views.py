@@ -22,7 +22,7 @@ from semviz_annotation.labels.labels import (
     ReviewState,
 )
 from semviz_annotation.labels.own_classes import attribute_types, class_keys
-from semviz_annotation.labels.rows import AttributeType, row_elements
+from semviz_annotation.labels.rows import AttributeType, Note, row_elements
 from semviz_core.base.classes import ClassSet, ClassShape, Kind, TriangleCenter
 from semviz_core.base.frame import Side
 from semviz_core.datasets.rig_cameras import camera_names
@@ -48,6 +48,18 @@ class ObservationView(Part):
     side: Side
 
 
+class NoteView(Part):
+    """A note on an element."""
+
+    id: str
+    frame: int | None
+    unsure: bool
+    text: str
+    author: str
+    time: str
+    """UTC, ISO 8601."""
+
+
 class ReviewDecisionView(Part):
     """A person's decision about an element, applied in every map build."""
 
@@ -65,6 +77,8 @@ class ElementView(ElementRef):
     left_out: bool
     """Whether a person decided that no map has it: it is drawn only while it is selected."""
     attributes: dict[str, str]
+    notes: list[NoteView]
+    """Those on this frame."""
 
 
 class NearbyView(ElementRef):
@@ -113,6 +127,15 @@ class OperationView(Part):
     frame: int | None
 
 
+class TeamSummary(Part):
+    """What the page of everybody knows of the work of all."""
+
+    sent_back: list[int]
+    """Frames that a reviewer sent back and nobody reviewed since."""
+    assigned: dict[str, list[tuple[int, int]]]
+    """The ranges of frames of each person, first and last."""
+
+
 class LabelsView(Part):
     """The state of the labels and all frames, without the marks of a frame."""
 
@@ -130,6 +153,7 @@ class LabelsView(Part):
     map: MapSummary
     frames: list[FrameSummary]
     """All frames; in an update, the changed ones."""
+    team: TeamSummary
 
 
 class KeyedClass(Part):
@@ -186,6 +210,18 @@ def element_ref(element: LabelElement, classes: ClassSet) -> ElementRef:
     return ElementRef(id=element.id, name=name, class_id=element.class_id)
 
 
+def note_view(note: Note) -> NoteView:
+    """Return a note as the page shows it."""
+    return NoteView(
+        id=note.id,
+        frame=note.frame_index,
+        unsure=note.unsure,
+        text=note.text,
+        author=note.author,
+        time=note.time,
+    )
+
+
 def pane_views(panes: Panes, frame_index: int) -> dict[Side, PaneView]:
     """Return the images on the page."""
     return {
@@ -215,6 +251,11 @@ def element_views(
             review_decisions=_review_decision_views(element, labels, classes),
             left_out=labels.is_left_out(element.id),
             attributes=attribute_values(labels, element.id),
+            notes=[
+                note_view(note)
+                for note in labels.notes_of(element.id)
+                if note.frame_index == panes["left"].frame_index
+            ],
         )
         for element in elements
     ]

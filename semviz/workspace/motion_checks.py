@@ -59,6 +59,11 @@ def turned_check(found: PoseCheck, camera: str) -> list[DriveCheck]:
     return [mount] if small and not mount.passed else []
 
 
+def _middle(found: PoseCheck) -> int:
+    """Return the frame that a check of the whole drive shows."""
+    return found.frames[len(found.frames) // 2].index
+
+
 def _length_ratio(found: PoseCheck) -> float | None:
     """Return how many times the lengths of the images' motions those of the poses are.
 
@@ -86,7 +91,7 @@ def _unit(found: PoseCheck, ratio: float, baseline_m: float) -> DriveCheck:
         warning=f"distances between poses are {ratio:.3g} times those that stereo measures: poses "
         f"are not in metres, or the baseline is not {baseline_m:.3g} m",
         option=f"--scale {scale:.4g}",
-        frame=found.frames[len(found.frames) // 2].index,
+        frame=_middle(found),
     )
 
 
@@ -109,7 +114,7 @@ def _mount(found: PoseCheck, camera: str) -> DriveCheck:
         if passed
         else f"{of}the camera is turned by {np.rad2deg(angle):.1f} deg ({words}) against the "
         "poses: correct its pose in the body (--extrinsic, or in the calibration) by that",
-        frame=found.frames[len(found.frames) // 2].index,
+        frame=_middle(found),
     )
 
 
@@ -133,7 +138,7 @@ def _extrinsics(found: PoseCheck, rig: Rig, fault: PoseFault | None) -> DriveChe
         if wrong
         else "",
         option="--refine-extrinsics" if wrong else "",
-        frame=found.frames[len(found.frames) // 2].index,
+        frame=_middle(found),
     )
 
 
@@ -148,7 +153,7 @@ def _scale(found: PoseCheck, fault: PoseFault | None) -> DriveCheck:
         limit=f"{max(LEAST_SCALE, SIGMAS * sigma):.1%}",
         passed=fault is None,
         warning="" if fault is None else f"{fault.text}; {fault.remedy}",
-        frame=found.frames[len(found.frames) // 2].index,
+        frame=_middle(found),
     )
 
 
@@ -168,7 +173,7 @@ def _time(found: PoseCheck, fault: PoseFault | None, camera: str) -> DriveCheck:
         warning=""
         if fault is None
         else f"{of}the poses are {abs(late_ms):.0f} ms {word}: correct their times by that",
-        frame=found.frames[len(found.frames) // 2].index,
+        frame=_middle(found),
     )
 
 
@@ -189,5 +194,5 @@ def _steps(found: PoseCheck, camera: str) -> DriveCheck:
         + "; ".join(fault.text for fault in local[:2])
         + (f", and {len(local) - 2} more stretches" if len(local) > 2 else "")
         + "; refine them or leave them out: semviz annotate, Poses (F4)",
-        frame=local[0].first if local else found.frames[len(found.frames) // 2].index,
+        frame=local[0].first if local else _middle(found),
     )

@@ -332,11 +332,13 @@ class Workspace:
 
     def open_labels(self) -> "LabelStore":
         """Open the label file; create it if it is missing. Close it, or use ``with``."""
+        from semviz_annotation.storage.closed_frames import until_merged
         from semviz_annotation.storage.store import LabelStore
 
         rig = self.source.rig
         center = NEW_CENTER if self.labels_path.exists() else self._center_of_proposals
         store = LabelStore.open(self.labels_path, rig, center)
+        store.closed = until_merged(store.team().shares)
         if self.settings.calibration is None:
             self._keep_calibration(rig)
         return store

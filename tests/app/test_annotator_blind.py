@@ -11,25 +11,29 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from journeys.driver import EMPTY_PAGE, LabelDriver
+from annotator_page import WAIT_MS, draw_on, opened_pages, settled
 from streets import street_workspace
 
 from semviz.annotator import messages
 from semviz.annotator.blind_annotator import TeamAnnotator
 from semviz.annotator.blind_shares import chosen_frames
-from semviz.annotator.blind_views import share_views
+from semviz.annotator.blind_views import compared_event, share_views
 from semviz.web.gateway import Gateway
 from semviz.web.protocol import RefusedError
 from semviz.workspace.blind import blind_workspace
 from semviz.workspace.people import People
 from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.agreement import MATCH_PX
 from semviz_annotation.labels.edits import (
     AddObservation,
     MoveObservation,
     ReviewFrame,
     SendBackFrame,
+    SetAttribute,
+    WriteNote,
 )
 from semviz_annotation.labels.labels import Labels, new_id
+from semviz_annotation.labels.rows import Note
 from semviz_annotation.storage.integrity import check_labels
 from semviz_annotation.storage.store import LabelStore
 from semviz_core.common.errors import SemvizError
@@ -38,7 +42,6 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 ROUNDED = 3
-WAIT_MS = 60_000
 
 
 @pytest.fixture
@@ -155,6 +158,83 @@ def test_nobody_labels_such_a_frame_in_the_common_file_until_it_is_merged(
     check_labels(workspace.labels_path)
 
 
+def test_the_frame_with_the_worst_disagreement_is_known(
+    annotator: TeamAnnotator, workspace: Workspace
+) -> None:
+    annotator.shares.assign((0, 2), 100.0, ("mara", "jon"), "eva")
+    labelled_blind(workspace, "mara", {0: [100.0], 1: [100.0], 2: [100.0]})
+    labelled_blind(workspace, "jon", {0: [101.0], 1: [105.0], 2: []})
+    (view,) = share_views(annotator.shares, reviews=True)
+    assert dict(zip(view.ready, view.worst_px, strict=True)) == pytest.approx(
+        {0: 1.0, 1: 5.0, 2: MATCH_PX}
+    )
+    assert share_views(annotator.shares, reviews=False)[0].worst_px == [0.0] * 3
+
+
+def test_attributes_and_notes_are_merged_with_their_elements(
+    annotator: TeamAnnotator, workspace: Workspace
+) -> None:
+    shares, store = annotator.shares, annotator.session.team.store
+    shares.assign((2, 2), 100.0, ("mara", "jon"), "eva")
+    labelled_blind(workspace, "mara", {2: [100.0]})
+    labelled_blind(workspace, "jon", {2: [101.0]})
+    for name, values in (("mara", {"sign code": "274-50"}), ("jon", {"sign code": "275"})):
+        with blind_workspace(workspace, name).open_labels() as own:
+            (element,) = own.labels.elements
+            for key, value in {**values, f"of {name}": "yes"}.items():
+                own.apply(SetAttribute(element, key, value), name)
+            note = Note(new_id(), element, 2, True, f"{name}: bent?", name, "2026-01-01T00:00:00")
+            own.apply(WriteNote(note), name)
+            elsewhere = Note(new_id(), element, 3, False, "in another frame", name, note.time)
+            own.apply(WriteNote(elsewhere), name)
+    event = compared_event(shares, 2, annotator.session.classes, "")
+    (compared,) = event.elements
+    assert compared.apart == "sign code: 274-50, 275"  # nobody averages it without a look
+    for of_second, code in (((), "274-50"), ((compared.id,), "275")):
+        mark = messages.DrawnMark(
+            observation_id=new_id(),
+            element_id=compared.id,
+            frame_index=2,
+            side="left",
+            anchor_px=(100.0, 40.0),
+            end_known=False,
+            class_id=ROUNDED,
+        )
+        edit = messages.MergeFrameEdit(
+            kind="merge frame", frame_index=2, marks=[mark], of_second=of_second
+        )
+        annotator.session.apply(new_id(), edit, author="eva")
+        (element,) = store.labels.elements
+        found = {row.name: row.value for row in store.labels.attributes_of(element)}
+        assert found == {"sign code": code, "of mara": "yes", "of jon": "yes"}
+        notes = store.labels.notes_of(element)
+        assert {(row.author, row.text) for row in notes} == {
+            ("mara", "mara: bent?"),
+            ("jon", "jon: bent?"),
+        }
+        store.undo("eva")
+        assert not store.labels.attributes
+        assert not store.labels.notes
+    check_labels(workspace.labels_path)
+
+
+def test_no_command_labels_a_frame_that_two_label_blind(
+    annotator: TeamAnnotator, workspace: Workspace
+) -> None:
+    """Without the server, another process opens the label file."""
+    annotator.shares.assign((2, 2), 100.0, ("mara", "jon"), "eva")
+    with workspace.open_labels() as store:
+        with pytest.raises(SemvizError, match="mara and jon label frame 2 blind"):
+            draw(store, 2, 100.0)
+        draw(store, 3, 100.0)
+        assert not store.labels.in_frame(2)
+    labelled_blind(workspace, "mara", {2: [100.0]})
+    labelled_blind(workspace, "jon", {2: [100.0]})
+    merge(annotator, 2, [100.0])
+    with workspace.open_labels() as store:
+        draw(store, 2, 300.0)  # it is open again
+
+
 def test_what_is_compared_no_longer_changes_and_an_ended_share_keeps_both_files(
     annotator: TeamAnnotator, workspace: Workspace
 ) -> None:
@@ -238,22 +318,13 @@ def pages(
     annotator: TeamAnnotator, workspace: Workspace, chromium: "Browser"
 ) -> Iterator[dict[str, "Page"]]:
     """The pages of who started the server, and of mara who labels."""
-    people, opened = People(workspace.path), {}
+    people = People(workspace.path)
     people.invite("jon", "annotate")
-    with Gateway(annotator, guests=annotator.people.names_by_digest).running() as url:
-        token = people.invite("mara", "annotate")
-        for name, address in (("eva", url), ("mara", f"{url.split('?')[0]}?token={token}")):
-            page = chromium.new_context(viewport={"width": 1280, "height": 720}).new_page()
-            page.route("**/view/**", lambda route: route.fulfill(body=EMPTY_PAGE))
-            LabelDriver(page).open(address)
-            opened[name] = page
+    with (
+        Gateway(annotator, guests=annotator.people.names_by_digest).running() as url,
+        opened_pages(chromium, url, "eva", people, {"mara": "annotate"}) as opened,
+    ):
         yield opened
-        for page in opened.values():
-            page.context.close()
-
-
-def settled(page: "Page") -> None:
-    page.wait_for_function("() => !semviz.state.pending.length", timeout=WAIT_MS)
 
 
 @pytest.mark.browser
@@ -280,8 +351,7 @@ def test_the_owner_assigns_a_share_two_label_it_and_the_owner_merges(
     assert mara.locator("#blind").is_visible()
     assert mara.evaluate("semviz.state.order") == [1, 2]
     for u in (100, 300):
-        mara.evaluate(DRAW, [1, u, new_id(), new_id()])
-    settled(mara)
+        draw_on(mara, 1, u)
     mara.evaluate("semviz.submit({ kind: 'review', frame_index: 1, state: 'reviewed' })")
     settled(mara)
     refused = eva.evaluate("fetch('/blind/1/').then((answer) => answer.status)")
@@ -309,11 +379,6 @@ def test_the_owner_assigns_a_share_two_label_it_and_the_owner_merges(
     assert labels.review(1) == "reviewed"
     assert signs_of(annotator.shares.labels_of("mara"), 1) == [100.0, 300.0]
     check_labels(workspace.labels_path)
-
-
-DRAW = """([frame, u, observation, element]) => semviz.submit({
-  kind: 'draw', observation_id: observation, element_id: element, frame_index: frame,
-  side: 'left', anchor_px: [u, 40], end_px: null, end_known: false, class_id: 3 })"""
 
 
 @pytest.mark.browser

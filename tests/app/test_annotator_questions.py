@@ -44,13 +44,13 @@ def test_two_versions_of_a_label_are_asked_about(
         do(served.annotator.session, theirs)
     finally:
         served.annotator.lock.release()
-    driver.page.wait_for_selector("#question:has-text('keep yours or theirs')")
-    driver.page.click(f"#question button:has-text('{'mine' if mine else 'theirs'}')")
-    driver.page.wait_for_selector(f"#saved:has-text('Saved operation {3 if mine else 2}')")
+    driver.page.wait_for_selector("#conflict:has-text('Both stay in the history')")
+    driver.page.click(f"#conflict button:has-text('{'mine' if mine else 'theirs'}')")
+    driver.page.wait_for_selector(f"#saved:has-text('Saved operation {3 if mine else 4}')")
     (now,) = served.labels.observations.values()
     expected = (701.0, 120.0) if mine else (650.0, 110.0)
     np.testing.assert_allclose(now.anchor_px, expected, atol=0.05)
-    driver.page.wait_for_selector("#question", state="hidden")
+    driver.page.wait_for_selector("#conflict", state="hidden")
 
 
 @pytest.mark.parametrize("hears", [True, False])
@@ -98,11 +98,12 @@ def test_the_same_end_moved_by_two_is_asked_about_though_the_page_had_heard_of_i
     )
     driver.page.wait_for_function("() => semviz.state.labels.frame.operation === 2")
     mouse.up()
-    driver.page.wait_for_selector("#question:has-text('keep yours or theirs')")
+    driver.page.wait_for_selector("#conflict:has-text('Both stay in the history')")
     np.testing.assert_allclose(served.observations[0].anchor_px, (650.0, 110.0), atol=0.01)
-    driver.page.click("#question button:has-text('theirs')")
-    driver.page.wait_for_selector("#question", state="hidden")
-    assert served.labels.operation == 2
+    driver.page.click("#conflict button:has-text('theirs')")
+    driver.page.wait_for_selector("#conflict", state="hidden")
+    driver.page.wait_for_selector("#saved:has-text('Saved operation 4')")
+    np.testing.assert_allclose(served.observations[0].anchor_px, (650.0, 110.0), atol=0.01)
 
 
 @pytest.mark.parametrize("key", ["y", "Shift+Y", "Discard"])
@@ -152,7 +153,7 @@ def test_what_somebody_deleted_can_be_kept(driver: LabelDriver, served: Served) 
         do(served.annotator.session, {"kind": "delete", "observation_id": row.id})
     finally:
         served.annotator.lock.release()
-    driver.page.click("#question button:has-text('mine')")
+    driver.page.click("#conflict button:has-text('mine')")
     driver.page.wait_for_selector("#saved:has-text('Saved operation 3')")
     (now,) = served.labels.observations.values()
     np.testing.assert_allclose(now.anchor_px, (701.0, 120.0), atol=0.05)

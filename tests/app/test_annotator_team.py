@@ -5,31 +5,33 @@ import stat
 import subprocess
 import sys
 from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 import pytest
-from annotator_page import Served, annotating
+from annotator_page import WAIT_MS, Served, annotating, draw_on, opened_pages, settled
 from echo_tool import connected
-from journeys.driver import EMPTY_PAGE, LabelDriver
 from pydantic import ValidationError
 from streets import street_workspace
 
 from semviz.annotator.server import Annotator
-from semviz.annotator.team_view import AssignFramesRequest
+from semviz.annotator.team_view import (
+    FORECAST_DAYS,
+    MOST_DAYS,
+    AssignFramesRequest,
+    done_on,
+)
 from semviz.web.gateway import Gateway
-from semviz.workspace.people import FILE, People, digest_of
+from semviz.workspace.people import FILE, People, Role, digest_of
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.labels.labels import new_id
 from semviz_annotation.storage.integrity import check_labels
 from semviz_annotation.storage.teamwork import AssignedFrames, assignment_text
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
-
-WAIT_MS = 60_000
 
 
 @pytest.fixture
@@ -50,10 +52,6 @@ def served(workspace: Workspace) -> Iterator[Served]:
             yield Served(url, annotator)
     finally:
         annotator.close()
-
-
-def address(served: Served, token: str) -> str:
-    return f"{served.url.split('?')[0]}?token={token}"
 
 
 def test_a_token_is_shown_once_and_kept_as_a_digest_in_a_private_file(people: People) -> None:
@@ -121,36 +119,17 @@ def test_the_commands_say_what_they_did_in_the_log(workspace: Workspace) -> None
 @pytest.fixture
 def pages(served: Served, people: People, chromium: "Browser") -> Iterator[dict[str, "Page"]]:
     """The pages of who started the server, of mara who labels, and of lin who looks."""
-    opened = {}
-    addresses = {"tester": served.url}
-    addresses["mara"] = address(served, people.invite("mara", "annotate"))
-    addresses["lin"] = address(served, people.invite("lin", "look"))
-    for name, url in addresses.items():
-        page = chromium.new_context(viewport={"width": 1280, "height": 720}).new_page()
-        page.route("**/view/**", lambda route: route.fulfill(body=EMPTY_PAGE))
-        LabelDriver(page).open(url)
-        opened[name] = page
-    yield opened
-    for page in opened.values():
-        page.context.close()
-
-
-def draw(page: "Page", frame: int, u: float) -> None:
-    page.evaluate(
-        """([frame, u, observation, element]) => semviz.submit({
-          kind: 'draw', observation_id: observation, element_id: element, frame_index: frame,
-          side: 'left', anchor_px: [u, 40], end_px: null, end_known: false, class_id: 3 })""",
-        [frame, u, new_id(), new_id()],
-    )
-    page.wait_for_function("() => !semviz.state.pending.length", timeout=WAIT_MS)
+    guests: dict[str, Role] = {"mara": "annotate", "lin": "look"}
+    with opened_pages(chromium, served.url, "tester", people, guests) as opened:
+        yield opened
 
 
 @pytest.mark.browser
 def test_each_edit_has_the_name_of_who_made_it_and_undo_is_ones_own(
     pages: dict[str, "Page"], served: Served
 ) -> None:
-    draw(pages["mara"], 0, 100.0)
-    draw(pages["tester"], 0, 300.0)
+    draw_on(pages["mara"], 0, 100.0)
+    draw_on(pages["tester"], 0, 300.0)
     store = served.annotator.session._store
     assert [row.author for row in store.operations()] == ["mara", "tester"]
     for page in pages.values():  # all see both
@@ -171,7 +150,7 @@ def test_who_may_look_changes_nothing_whatever_the_page_sends(
     pages: dict[str, "Page"], served: Served
 ) -> None:
     page = pages["lin"]
-    draw(page, 0, 100.0)
+    draw_on(page, 0, 100.0)
     page.wait_for_selector("#message:has-text('look at these labels')")
     page.evaluate(  # past the page's own check
         """() => semviz.socket.send('apply_edit',
@@ -180,7 +159,7 @@ def test_who_may_look_changes_nothing_whatever_the_page_sends(
     )
     page.wait_for_selector("#message:has-text('not change them')")
     page.evaluate("() => semviz.socket.send('build_map', {})")
-    draw(pages["mara"], 0, 200.0)
+    draw_on(pages["mara"], 0, 200.0)
     operations = served.annotator.session._store.operations()
     assert [row.author for row in operations] == ["mara"]
 
@@ -195,7 +174,13 @@ def test_people_see_where_the_others_are_and_the_revoked_are_gone(
     tester.click(".person[title*='mara']")
     tester.wait_for_function("() => semviz.state.frame === 1")
     assert "2 here" in (tester.text_content("#people") or "")
-    draw(mara, 1, 100.0)
+    for width in (1401, 1500, 1701):  # the bar ends with one's own name, whole
+        tester.set_viewport_size({"width": width, "height": 900})
+        ends = "['author', 'help'].map((id) => document.getElementById(id).getBoundingClientRect())"
+        assert tester.evaluate(f"{ends}.every((box) => box.right <= innerWidth && box.width > 20)")
+        assert tester.evaluate("author.scrollWidth <= author.clientWidth + 1")
+    tester.set_viewport_size({"width": 1280, "height": 720})
+    draw_on(mara, 1, 100.0)
     people.revoke("mara")
     mara.wait_for_function("() => !semviz.state.connected", timeout=WAIT_MS)
     tester.wait_for_selector(".person[title*='mara']", state="detached", timeout=WAIT_MS)
@@ -215,9 +200,9 @@ def test_a_reviewer_sends_back_with_a_comment_and_accepts(
 ) -> None:
     tester, mara = pages["tester"], pages["mara"]
     store = served.annotator.session._store
-    draw(mara, 0, 100.0)
+    draw_on(mara, 0, 100.0)
     mara.keyboard.press("Enter")
-    mara.wait_for_function("() => !semviz.state.pending.length", timeout=WAIT_MS)
+    settled(mara)
     tester.keyboard.press("F8")
     tester.wait_for_selector("#team-queue .row:has-text('mara')", timeout=WAIT_MS)
     tester.keyboard.press("Shift+N")
@@ -260,6 +245,20 @@ def test_every_frame_that_a_page_may_assign_is_read_from_the_log(workspace: Work
         AssignFramesRequest.model_validate(request | {"frames": (0, last + 1)})
 
 
+def test_the_forecast_takes_the_pace_of_days_on_which_somebody_reviewed() -> None:
+    now = datetime(2026, 3, 10, 12, tzinfo=UTC)
+    days = [now - timedelta(days=back) for back in (1, 1, 1, 1, 3, 3)]  # 3 a day, on two days
+    times = [day.isoformat() for day in days]
+    assert done_on(9, times, now) == "2026-03-13"
+    assert done_on(10, times, now) == "2026-03-14"  # a day that is begun counts
+    assert done_on(0, times, now) == ""  # nothing is left
+    assert done_on(9, [], now) == ""  # nothing tells
+    old = (now - timedelta(days=FORECAST_DAYS, seconds=1)).isoformat()
+    assert done_on(9, [old] * 100, now) == ""
+    assert done_on(9, [*times, *[old] * 100], now) == "2026-03-13"
+    assert done_on(MOST_DAYS * 3, times, now) == ""
+
+
 @pytest.mark.browser
 def test_frames_are_assigned_by_who_reviews_and_progress_is_told(
     pages: dict[str, "Page"], served: Served
@@ -276,7 +275,7 @@ def test_frames_are_assigned_by_who_reviews_and_progress_is_told(
     tester.keyboard.type("0-1")
     tester.keyboard.press("Enter")
     tester.wait_for_selector(".team-person:has-text('mara'):has-text('0 / 2')", timeout=WAIT_MS)
-    draw(mara, 0, 100.0)
+    draw_on(mara, 0, 100.0)
     mara.keyboard.press("F2")
     mara.keyboard.press("Enter")
     tester.wait_for_selector(".team-person:has-text('mara'):has-text('1 / 2')", timeout=WAIT_MS)

@@ -11,6 +11,7 @@ import pytest
 from semviz import web
 from semviz.presentation import plots
 from semviz.presentation.plots import Tone
+from semviz_annotation.labels.class_looks import PALETTE
 from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.common.arrays import FloatArray
 
@@ -116,6 +117,32 @@ def test_colours_of_a_family_stay_apart(
     seen = {color: simulated_lab(color, SIMULATED[vision]) for color in colors}
     least = {pair: ciede2000(*(seen[name] for name in pair)) for pair in combinations(colors, 2)}
     assert min(least.values()) >= LEAST, min(least, key=least.__getitem__)
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+@pytest.mark.parametrize("vision", SIMULATED)
+def test_colours_chosen_for_own_classes_mean_nothing_else(
+    vision: str, theme: Literal["dark", "light"]
+) -> None:
+    """Least where six more of them are apart from four: not ``LEAST``, but never alike."""
+
+    def seen(color: str) -> FloatArray:
+        return simulated_lab(color, SIMULATED[vision])
+
+    own = [seen(pair[theme == "light"]) for pair in PALETTE]
+    usual = [seen(getattr(tone, theme)) for tone in FAMILIES["classes"]]
+    estimate = seen(getattr(plots.ESTIMATE, theme))
+    assert min(ciede2000(color, estimate) for color in own) >= LEAST
+    assert min(ciede2000(*pair) for pair in combinations([*own, *usual], 2)) >= 0.75 * LEAST
+    assert min(ciede2000(first, second) for first in own[:2] for second in usual) >= 0.9 * LEAST
+
+
+def test_the_orange_that_own_classes_had_is_taken_for_an_estimate() -> None:
+    pairs = [
+        [simulated_lab(color, matrix) for color in ("#FF9F43", plots.ESTIMATE.dark)]
+        for matrix in SIMULATED.values()
+    ]
+    assert min(ciede2000(*pair) for pair in pairs) < LEAST
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])

@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import pytest
 from annotator_page import Served, annotating
 from command_line import call
+from inspector_page import open_flat
 from journeys.driver import LabelDriver
 from labelled_street import label_street
 from streets import street, street_workspace
 
+from semviz.inspector.server import Inspector
+from semviz.web.gateway import Gateway
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.edits import SetAttribute, SetClass
 from semviz_annotation.labels.labels import LabelElement, Labels
@@ -213,3 +216,23 @@ def test_a_class_declared_meanwhile_reaches_the_open_page(
     page.locator("#classes .row").nth(6).wait_for(timeout=WAIT_MS)
     page.keyboard.press("7")
     assert page.evaluate("() => semviz.state.classOf(semviz.state.classId).name") == "bollard"
+
+
+@pytest.mark.browser
+def test_the_inspector_shows_and_filters_own_classes_in_the_light_theme(
+    workspace: Workspace, run: Run, page: "Page"
+) -> None:
+    run("map", "build", workspace.path)
+    run("localize", workspace.path, "--frames", "0:2")
+    page.emulate_media(color_scheme="light")
+    with Gateway(Inspector([workspace.run_path("search")])).running() as url:
+        open_flat(page, url, "&frame=0")
+        kinds = {kind.name: kind for kind in workspace.read_labels().own_classes.values()}
+        page.click("[data-tab=elements]")
+        for name, kind in kinds.items():
+            chip = page.locator(f"button.chip[title='{name}']")
+            chip.click(timeout=WAIT_MS)
+            assert kind.color_light.lower() in chip.inner_html().lower()
+            chosen = page.locator("#element-classes .chip[aria-pressed=true]")
+            assert chosen.get_attribute("title") == name
+        page.goto("about:blank")

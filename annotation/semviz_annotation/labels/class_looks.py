@@ -12,9 +12,10 @@ from semviz_annotation.labels.own_classes import DeclareClass, check_name, class
 from semviz_core.base.classes import ClassShape, ElementClass, Kind
 from semviz_core.common.errors import SemvizError
 
-PALETTE = (("#FF9F43", "#8A4B00"), ("#B388FF", "#5A2CA0"), ("#7BD88F", "#1E6B33"),
-           ("#FF8FA3", "#9B1B3B"), ("#9BB8FF", "#27459B"), ("#D9C2A0", "#6B5230"))  # fmt: skip
-"""Colours on dark and light for classes that are given none: unlike those of the usual ones."""
+PALETTE = (("#A5C3FD", "#030363"), ("#BE93A8", "#4B3D66"), ("#E6FECD", "#246056"),
+           ("#B5CF81", "#463A02"), ("#F1B1B1", "#8C7A54"), ("#9D79AF", "#66583D"))  # fmt: skip
+"""Colours on dark and light for classes that are given none: unlike those of the usual classes, and
+unlike the colour of an estimated pose, also for who does not see all colours."""
 _KEYS = "56789"
 _POINT_SHAPES: tuple[ClassShape, ...] = ("diamond", "pentagon", "square", "triangle", "circle")
 

@@ -29,7 +29,7 @@ from semviz_annotation.labels.element_edits import (
     Unlink,
 )
 from semviz_annotation.labels.labels import Labels, ReviewState
-from semviz_annotation.labels.own_classes import SetAttribute
+from semviz_annotation.labels.own_classes import SetAttribute, attribute_types, checked_value
 from semviz_core.common.errors import SemvizError
 
 __all__ = [
@@ -126,6 +126,9 @@ class MergeFrame:
 
     frame_index: rows.Index
     observations: tuple[AddObservation, ...]
+    attributes: tuple[SetAttribute, ...] = ()
+    """Of their elements; what an element has already stays."""
+    notes: tuple[rows.Note, ...] = ()
     kind: Literal["merge frame"] = "merge frame"
 
     def changes(self, labels: Labels, rules: rows.Rules) -> Iterator[rows.RowChange]:
@@ -139,6 +142,13 @@ class MergeFrame:
             self.frame_index, "reviewed" if self.observations else "reviewed, empty"
         )
         yield rows.RowChange(labels.reviews.get(self.frame_index), review)
+        types = attribute_types(labels)
+        for each in self.attributes:
+            id_ = rows.attribute_id(each.element_id, each.name)
+            if each.value is not None and id_ not in labels.attributes:
+                value = checked_value(each.value, types.get(each.name))
+                yield rows.RowChange(None, rows.Attribute(id_, each.element_id, each.name, value))
+        yield from (rows.RowChange(labels.notes.get(note.id), note) for note in self.notes)
 
 
 def _reviewed(frame_index: int, labels: Labels) -> rows.Review:

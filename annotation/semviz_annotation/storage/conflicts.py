@@ -127,7 +127,7 @@ class ConflictChecker:
         row = change.before or change.after
         why = "" if row is None else self._describe_change(row, last)
         requests = dict.fromkeys(operation.request_id for operation, _ in overwritten)
-        return ConflictError(f"{why}; keep yours or theirs", tuple(requests), is_deleted)
+        return ConflictError(f"{why}; keep yours or theirs", tuple(requests), is_deleted, last)
 
     def check_machine(self, changes: Iterable[RowChange]) -> None:
         """Raise SemvizError if a human has ever written one of the rows."""

@@ -118,9 +118,13 @@ class BrokenOperationError(SemvizError):
 class ConflictError(SemvizError):
     """An edit would overwrite what its author had not seen."""
 
-    def __init__(self, why: str, overwritten: tuple[str, ...], is_deleted: bool) -> None:
+    def __init__(
+        self, why: str, overwritten: tuple[str, ...], is_deleted: bool, last: Operation
+    ) -> None:
         super().__init__(why)
         self.overwritten = overwritten
         """Requests of the operations that the edit would overwrite; known, it is applied."""
         self.is_deleted = is_deleted
         """Whether the edited observation no longer exists."""
+        self.last = last
+        """The last of these operations."""

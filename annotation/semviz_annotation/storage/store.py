@@ -33,11 +33,7 @@ from semviz_annotation.storage.operations import (
     sealed,
 )
 from semviz_core.base.camera import Rig
-from semviz_core.base.classes import (
-    NEW_CENTER,
-    TriangleCenter,
-    describe_center,
-)
+from semviz_core.base.classes import NEW_CENTER, TriangleCenter, describe_center
 from semviz_core.common.errors import SemvizError
 
 __all__ = [
@@ -51,7 +47,6 @@ __all__ = [
     "ReplacedLogError",
     "Writer",
 ]
-
 
 MAX_UNDO_CANDIDATES = 200
 """Undo tries so many earlier edits if the last one conflicts with later changes."""
@@ -161,10 +156,8 @@ class LabelStore:
     def operations(
         self, after: int = 0, limit: int | None = None, before: int | None = None
     ) -> tuple[Operation, ...]:
-        """Return the operations between two numbers (exclusive), oldest first.
-
-        ``limit`` keeps those closest to ``before``, or to ``after`` if ``before`` is None.
-        """
+        """Return the operations between two numbers (exclusive), oldest first; up to ``limit``,
+        closest to ``before``, or to ``after`` if ``before`` is None."""
         with self._file.reading():
             return tuple(tables.read_operations(self._file.connection, after, limit, before))
 
@@ -204,6 +197,13 @@ class LabelStore:
         """Return the operation that left the version of a frame before the present one."""
         with self._file.reading():
             return teamwork.earlier_version(self._file.connection, frame_index)
+
+    def number_of(self, request_id: str) -> int:
+        """Return the number of a request's operation. Raise SemvizError if it has none."""
+        with self._file.reading():
+            if operation := tables.operation_of_request(self._file.connection, request_id):
+                return operation.number
+        raise SemvizError("this edit was not saved")
 
     def free_class_id(self) -> int:
         """Return an id that no class ever had."""

@@ -7,16 +7,14 @@
 /** @import {Side} from "./values.js" */
 import { Surface } from "/static/canvas.js";
 import { byId, el } from "/static/dom.js";
-import { drawGlyph, drawHandle, drawLine, drawText } from "/static/glyphs.js";
+import { drawText } from "/static/glyphs.js";
+import { drawVersions } from "./two_versions.js";
 import { uuid7 } from "./values.js";
 import { RenderCache, badge, row } from "./widgets.js";
 
 /** What is taken of an element: the label of one of both, the mean, or nothing.
  * @typedef {"first" | "second" | "mean" | "none"} Taken */
 /** @typedef {annotator.ComparedElement} ComparedElement */
-
-const LEAST_PX = 60; // of an image, the least that a picture shows of its height
-const AROUND = 1.5;
 
 export class Compared {
   /**
@@ -114,7 +112,7 @@ export class Compared {
       this.state.set({});
       return false;
     }
-    page.submit({ kind: "merge frame", frame_index: shown.frame, marks: shown.elements.flatMap((element) => this.#marks(element, shown.frame)) });
+    page.submit({ kind: "merge frame", frame_index: shown.frame, marks: shown.elements.flatMap((element) => this.#marks(element, shown.frame)), of_second: shown.elements.filter((element) => this.#takenOf(element) === "second").map(({ id }) => id) });
     return true;
   }
 
@@ -215,51 +213,10 @@ export class Compared {
     const bitmap = view && this.bitmaps.get(view.side);
     if (view && !bitmap) drawText(context, this.trouble || "Loading the image …", width / 2, height / 2, { align: "center" });
     if (!view || !bitmap) return;
-    const half = width / 2 - 2;
-    const points = [view.first, view.second].flatMap((mark) => (mark ? [mark.anchor, ...mark.end ? [mark.end] : []] : []));
-    const [lowU, lowV] = [0, 1].map((axis) => Math.min(...points.map((point) => point[axis])));
-    const [highU, highV] = [0, 1].map((axis) => Math.max(...points.map((point) => point[axis])));
-    const tall = Math.max(LEAST_PX, AROUND * (highV - lowV), AROUND * (highU - lowU) * height / half);
-    const scale = height / tall;
-    const [u, v] = [(lowU + highU) / 2, (lowV + highV) / 2];
-    for (const [at, mark] of [view.first, view.second].entries()) {
-      context.save();
-      context.beginPath();
-      context.rect(at * (width / 2 + 2), 0, half, height);
-      context.clip();
-      context.translate(at * (width / 2 + 2), 0);
-      context.drawImage(bitmap, u + 0.5 - half / scale / 2, v + 0.5 - tall / 2, half / scale, tall, 0, 0, half, height);
-      const screen = (/** @type {[number, number]} */ [x, y]) => /** @type {[number, number]} */ ([(x - u) * scale + half / 2, (y - v) * scale + height / 2]);
-      const other = at ? view.first : view.second;
-      if (other) drawVersion(context, other, screen, "#FFFFFF80", "");
-      const kind = this.state.classOf(this.element?.classes[at] ?? this.element?.classes[1 - at] ?? 0);
-      if (mark) drawVersion(context, mark, screen, kind.color, kind.shape);
-      if (at === 0) drawText(context, `${view.side} image`, 6, height - 10);
-      context.restore();
-    }
+    const kind = (/** @type {0 | 1} */ at) => this.state.classOf(this.element?.classes[at] ?? this.element?.classes[1 - at] ?? 0);
+    drawVersions(context, width, height, bitmap, [{ mark: view.first, kind: kind(0) }, { mark: view.second, kind: kind(1) }]);
+    drawText(context, `${view.side} image`, 6, height - 10);
   }
-}
-
-/** Draws a label; without a `shape` faintly, as the other's.
- *
- * @param {CanvasRenderingContext2D} context
- * @param {annotator.ObservationView} mark
- * @param {(pixel: [number, number]) => [number, number]} screen
- * @param {string} color
- * @param {import("/static/glyphs.js").Shape | ""} shape
- */
-function drawVersion(context, mark, screen, color, shape) {
-  const [x, y] = screen(mark.anchor);
-  if (!mark.end) {
-    if (shape) drawGlyph(context, shape, x, y, 6, color);
-    else drawHandle(context, "bottom", x, y, color, false);
-    return;
-  }
-  const end = screen(mark.end);
-  drawLine(context, [x, y], end, color, shape ? 2 : 1, shape ? [] : [4, 3]);
-  if (!shape) return;
-  drawHandle(context, "peak", x, y, color, mark.anchor_known);
-  drawHandle(context, "bottom", ...end, color, mark.end_known);
 }
 
 /** @param {string} text of a time, UTC */

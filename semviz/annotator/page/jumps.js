@@ -18,7 +18,7 @@ const FEW = 4; // elements that a frame needs for a reliable pose
  *
  * @typedef {{
  *   title: string,
- *   has: (frame: Frame) => boolean,
+ *   has: (frame: Frame, state: State) => boolean,
  *   rank?: (frame: Frame) => number,
  *   summary: (frames: Frame[]) => string | number,
  *   element?: (frame: Frame) => string | null | undefined,
@@ -26,6 +26,9 @@ const FEW = 4; // elements that a frame needs for a reliable pose
 
 /** @type {Record<string, JumpList>} */
 export const JUMPS = {
+  "sent back": {
+    title: "Sent back", has: ({ index }, state) => sentBackTo(state).includes(index), summary: (frames) => frames.length,
+  },
   unreviewed: {
     title: "Unreviewed", has: ({ state }) => !state.startsWith("reviewed"), summary: (frames) => frames.length,
   },
@@ -47,6 +50,25 @@ export const JUMPS = {
   },
 };
 
+/** The frames that a reviewer sent back, without those of another's range.
+ *
+ * @param {State} state
+ */
+export function sentBackTo(state) {
+  return state.labels.team.sent_back.filter((frame) => !ownerOf(state, frame));
+}
+
+/** Who else has a frame, if it is not one's own, too; empty for nobody.
+ *
+ * @param {State} state
+ * @param {number} frame
+ */
+export function ownerOf({ labels, workspace }, frame) {
+  const has = (/** @type {[number, number][]} */ ranges) => ranges.some(([first, last]) => frame >= first && frame <= last);
+  const names = Object.entries(labels.team.assigned).filter(([, ranges]) => has(ranges)).map(([name]) => name);
+  return names.includes(workspace.author) ? "" : names[0] ?? "";
+}
+
 /** The frames of a list: in order of time, or worst first if the list has ranks.
  *
  * @param {State} state
@@ -54,7 +76,7 @@ export const JUMPS = {
  */
 export function jumpFrames(state, name = state.jump) {
   const { has, rank } = JUMPS[name];
-  const frames = state.labels.frames.filter(has);
+  const frames = state.labels.frames.filter((frame) => has(frame, state));
   return rank ? frames.sort((first, second) => rank(first) - rank(second)) : frames;
 }
 
@@ -70,10 +92,18 @@ export function jumpCommands(state, actions) {
     { key: ",", shift: true, group, title: "Previous in the jump list", row: "Previous, next in the jump list", run: () => jump(state, actions, -1) },
     { key: ".", shift: true, group, title: "Next in the jump list", row: "Previous, next in the jump list", run: () => jump(state, actions, 1) },
     { key: "j", group, title: "Choose the jump list", run: () => {
-      const names = [...Object.keys(JUMPS), ...reviewLists(state)];
+      const names = [...frameLists(state), ...reviewLists(state)];
       state.set({ jump: names[(names.indexOf(state.jump) + 1) % names.length] });
     } },
   ];
+}
+
+/** The lists of frames; that of sent back ones only while there are some.
+ *
+ * @param {State} state
+ */
+function frameLists(state) {
+  return Object.keys(JUMPS).filter((name) => name !== "sent back" || state.jump === name || sentBackTo(state).length);
 }
 
 /** The lists of the last map; that of tracks only if the map was built from detections.
@@ -135,6 +165,8 @@ export class Jumps {
     this.cache = new RenderCache(state);
     /** @type {Frame[] | null} */
     this.frames = null;
+    /** @type {annotator.TeamSummary | null} */
+    this.team = null;
     /** @type {Row[]} */
     this.lists = []; // of these frames
   }
@@ -143,12 +175,13 @@ export class Jumps {
     const { labels, jump } = this.state;
     const { built, tracks, decisions, findings } = labels.map;
     const counts = { tracks, decisions, findings };
-    if (this.frames !== labels.frames) {
+    if (this.frames !== labels.frames || this.team !== labels.team) {
       this.frames = labels.frames;
-      this.lists = Object.entries(JUMPS).map(([name, { title, summary }]) => [name, title, summary(jumpFrames(this.state, name))]);
+      this.team = labels.team;
+      this.lists = frameLists(this.state).map((name) => [name, JUMPS[name].title, JUMPS[name].summary(jumpFrames(this.state, name))]);
     }
     /** @type {Row[]} */
-    const reviews = reviewLists(this.state).map((name) => [name, REVIEWS[name].title, built === null && name !== "tracks" ? "no map" : counts[name]]);
+    const reviews = reviewLists(this.state).map((name) => [name, REVIEWS[name].title, built === null && name !== "tracks" ? (tracks ? "not built" : "no map") : counts[name]]);
     const lists = [...this.lists, ...reviews];
     this.cache.show("jumps", [lists, jump], () => lists.map((list) => this.#row(list)));
   }

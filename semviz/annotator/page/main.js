@@ -13,6 +13,7 @@ import { Light } from "./aids.js";
 import { Attributes } from "./attributes.js";
 import { Backdrop } from "./backdrop.js";
 import { commands, editing, zoomToSelection } from "./commands.js";
+import { Conflict } from "./conflict.js";
 import { Cursor } from "./cursor.js";
 import { Sketch } from "./drafts.js";
 import { Drive } from "./drive.js";
@@ -73,11 +74,12 @@ export class Page {
     this.poses = new Poses(this.state, this.keys, this);
     this.drive = new Drive(this.state, this.keys, this);
     this.tracks = new Tracks(this.state, this.keys, this);
+    this.conflict = new Conflict(this);
     this.people = new People(this.state, this);
     this.team = new Team(this.state, this.keys, this);
     /** @type {Views} */
     this.views = new Views(this.state, this.keys, this, { tracks: this.tracks, poses: this.poses, team: this.team, drive: this.drive });
-    this.panels = new Panels(this.state, this.images, this.keys, this, [new Attributes(this.state, this), this.backdrop, this.past, this.history, this.light, this.review, this.tour, this.second, this.people, this.views, this.tracks, this.poses, this.team, this.drive]);
+    this.panels = new Panels(this.state, this.images, this.keys, this, [new Attributes(this.state, this), this.backdrop, this.past, this.history, this.light, this.review, this.conflict, this.tour, this.second, this.people, this.views, this.tracks, this.poses, this.team, this.drive]);
     this.keys.onchange = () => this.state.set({ changedKeys: this.keys.changed });
     this.keys.listen(window);
     watchLists();
@@ -102,6 +104,7 @@ export class Page {
       this.notify("Not kept: the browser has no room for more unsaved edits. Connect to the server first.", "wrong");
       return;
     }
+    this.people.told(state.frame);
     if (edit.kind === "draw") {
       state.set({ selected: { element: edit.element_id, side: edit.side }, vertex: "anchor" });
     }
@@ -274,7 +277,7 @@ export class Page {
     const isFirst = !state.isReady;
     state.set({ known: workspace, received: { ...labels, frame: state.received?.frame ?? null } });
     const ofImages = this.views.ofImages(commands(state, this.images, this.tools, this));
-    this.keys.use([...ofImages, ...this.views.commands(), ...this.tracks.commands(), ...this.poses.commands(), ...this.team.commands(), ...this.drive.commands()]);
+    this.keys.use([...ofImages, ...this.views.commands(), ...this.conflict.commands(), ...this.people.commands(), ...this.tracks.commands(), ...this.poses.commands(), ...this.team.commands(), ...this.drive.commands()]);
     const outbox = (this.outbox ??= new Outbox(workspace.key, (entry) => this.#send(entry)));
     this.#showPending();
     this.panels.start();

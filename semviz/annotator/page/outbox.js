@@ -128,6 +128,21 @@ export class Outbox {
     this.flush();
   }
 
+  /** Keeps what others did: a refused edit is made and undone at once, so that both are in the history.
+   *
+   * @param {Entry} refused
+   * @param {string[]} overwritten requests of the others
+   */
+  keepTheirs({ request, edit, place, shown, base }, overwritten) {
+    const knows = { ...base ?? { operation: 0 }, known: [...(base?.known ?? []), ...overwritten] };
+    const undo = { request: uuid7(), place: place + 0.5, edit: { kind: "undo", request }, shown: null, base: knows };
+    for (const entry of [{ request, place, edit, shown, base: knows }, undo]) {
+      localStorage.setItem(this.prefix + entry.request, JSON.stringify(entry));
+    }
+    this.sent = null;
+    this.flush();
+  }
+
   /** Notes that all edits that wait now may move to the labels that a backup put in place. */
   agreeToRestored() {
     this.agreed = this.entries.at(-1)?.place ?? 0;

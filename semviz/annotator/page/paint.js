@@ -58,7 +58,8 @@ export class Painter {
       drawGlyph(this.context, shape, anchor[0], anchor[1], selected ? SELECTED_GLYPH : GLYPH, color, width, dash);
       this.#dot(anchor, color);
     }
-    const text = selected ? [element.name, ...missing(kind, observation)].join(" · ") : element.name;
+    const name = element.notes?.length ? `${element.name} ◆${element.notes.length}` : element.name; // comments wait for an answer
+    const text = selected ? [name, ...missing(kind, observation)].join(" · ") : name;
     this.#label(text, anchor, selected ? 3 : reviewed ? 2.5 : 2, observation.end);
   }
 

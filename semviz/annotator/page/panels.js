@@ -154,7 +154,7 @@ export class Panels {
     const count = card?.views ?? element?.views;
     const views = count ? el("span", { class: "push chip", text: counted(count, "view") }) : null;
     const title = header(name, about, this.#glyph(state.classOf(id)), views);
-    return [title, el("dl", { class: "numbers" }, ...numbers(card ?? this.#ownLengths(element), state.selected?.side ?? "left")), this.#decisions(element) ?? aboutTrack(candidate) ?? this.#missing() ?? this.#nearest(card) ?? warning(card), this.#buttons(element)];
+    return [title, el("dl", { class: "numbers" }, ...numbers(card ?? this.#ownLengths(element), state.selected?.side ?? "left")), this.#notes(element), this.#decisions(element) ?? aboutTrack(candidate) ?? this.#missing() ?? this.#nearest(card) ?? warning(card), this.#buttons(element)];
   }
 
   /** That no other view shows the element larger, so that its labels there may follow this one.
@@ -186,6 +186,17 @@ export class Panels {
       if (anchor && end) lengths[side] = Math.hypot(anchor[0] - end[0], anchor[1] - end[1]);
     }
     return { length_px: lengths };
+  }
+
+  /** The comments on the element in this frame, to be answered; null if there are none.
+   *
+   * @param {ShownElement | null} element
+   */
+  #notes(element) {
+    if (!element?.notes?.length) return null;
+    return el("div", { class: "card-notes" }, ...element.notes.map(({ id, author, text, unsure }) => el("p", {},
+      el("span", { class: "warning", text: "◆" }), el("b", { text: author }), el("span", { class: "fill", text: text || (unsure ? "unsure" : "") }),
+      el("button", { class: "small", title: "Answered: delete this comment", "aria-label": "Delete this comment", onclick: () => this.page.submit({ kind: "delete note", note_id: id }), text: "✕" }))));
   }
 
   /** The review decisions about the element; null if there are none.

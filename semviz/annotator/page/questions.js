@@ -4,8 +4,9 @@
 /** @import {Page} from "./main.js" */
 /** @import {Entry, Question} from "./values.js" */
 import { byId, el } from "/static/dom.js";
-import { drawnAgain, seen, startOf } from "./pending.js";
-import { counted } from "./values.js";
+import { drawnAgain, find, seen, startOf } from "./pending.js";
+import { differs } from "./two_versions.js";
+import { counted, uuid7 } from "./values.js";
 import { badge } from "./widgets.js";
 
 const KEYS = ["Y", "Shift Y"]; // of the first answers
@@ -17,7 +18,7 @@ const KEYS = ["Y", "Shift Y"]; // of the first answers
  * @param {Page} page
  * @returns {Question}
  */
-export function overwriting(entry, { text, overwritten, is_deleted: isDeleted }, page) {
+export function overwriting(entry, { text, overwritten, is_deleted: isDeleted, operation, author, time }, page) {
   const mine = () => {
     if (!isDeleted) {
       page.outbox?.overwrite(entry, overwritten);
@@ -29,9 +30,17 @@ export function overwriting(entry, { text, overwritten, is_deleted: isDeleted },
     const again = last.shown && drawnAgain(last.edit, last.shown);
     if (again) page.outbox?.add(again, null, page.state.lastShown);
   };
-  const theirs = () => page.settle(entry.request);
-  const answers = [{ title: "Keep mine", run: mine }, { title: "Keep theirs", run: theirs }];
-  return { entry, text: `${text} Both stay in the history.`, answers };
+  const theirs = () => (isDeleted ? page.settle(entry.request) : page.outbox?.keepTheirs(entry, overwritten));
+  const ask = () => {
+    const id = "observation_id" in entry.edit ? entry.edit.observation_id : "";
+    const mine = find(page.state.elements, id), now = find(page.state.labels.frame?.elements ?? [], id);
+    const what = mine && now ? differs(mine.observation, now.observation) : "";
+    theirs();
+    if (entry.edit.seen) page.submit({ kind: "note", note_id: uuid7(), element_id: entry.edit.seen.element, frame_index: entry.shown?.frame ?? null, unsure: true, text: `@${author}: ${what || "another version"}?` });
+  };
+  const asks = !isDeleted && entry.edit.seen && author !== page.state.workspace.author;
+  const answers = [{ title: "Keep mine", run: mine }, { title: "Keep theirs", run: theirs }, ...asks ? [{ title: `Ask ${author}`, run: ask }] : []];
+  return { entry, text: isDeleted ? text : `${text}. Both stay in the history.`, answers, conflict: { operation, author, time } };
 }
 
 /** The unsaved edits of the observation that `entry` edits.
@@ -101,7 +110,7 @@ export function moveToRestored(entry, { state, outbox }) {
   outbox?.moveToRestored(entry, looksTheSame ? state.lastShown : { operation: 0 });
 }
 
-/** The bar below the images that asks. */
+/** The bar below the images that asks; conflict.js asks where two versions are. */
 export class QuestionBar {
   /** @param {Pick<Page, "state" | "keys" | "answer">} page */
   constructor(page) {
@@ -115,7 +124,7 @@ export class QuestionBar {
     if (question === this.shown) return;
     this.shown = question;
     const bar = byId("question");
-    bar.hidden = question === null;
+    bar.hidden = question === null || Boolean(question.conflict);
     if (!question) return;
     bar.replaceChildren(el("span", { class: "fill", text: question.text }), ...question.answers.map(({ title }, index) => {
       const key = KEYS[index];

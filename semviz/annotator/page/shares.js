@@ -30,6 +30,11 @@ export class Shares {
     return this.known.flatMap(({ ready }) => ready).sort((a, b) => a - b);
   }
 
+  /** Frames to be merged, those whose labels differ most first. */
+  get worstFirst() {
+    return this.known.flatMap(({ ready, worst_px: px }) => ready.map((frame, at) => ({ frame, px: px[at] }))).sort((a, b) => b.px - a.px).map(({ frame }) => frame);
+  }
+
   /** Frames that a person labels blind.
    *
    * @param {string} name
@@ -82,7 +87,8 @@ export class Shares {
   }
 
   /** @param {annotator.ShareView} share */
-  #figures({ people, agreement }) {
+  #figures({ people, agreement, ready, worst_px: px }) {
+    const worst = ready[px.indexOf(Math.max(...px))];
     if (!agreement) return [];
     if (agreement.labels < NEEDED) return [el("p", { class: "dim team-text", text: `Agreement: ${counted(agreement.labels, "pair")} of labels, ${NEEDED} needed.` })];
     const { both, elements, missed, other_class: other, labels, same_ends: ends, identical } = agreement;
@@ -95,7 +101,8 @@ export class Shares {
         fact("Missed", people.map((name, at) => `${name} ${missed[at]}`).join(", ")),
         fact("Same class", `${spaced(both - other)} of ${spaced(both)}`),
         fact("Same ends hidden or cut", `${spaced(ends)} of ${spaced(labels)}`),
-        fact("At the very same place", `${spaced(identical)} of ${spaced(labels)}`)),
+        fact("At the very same place", `${spaced(identical)} of ${spaced(labels)}`),
+        worst !== undefined ? fact("Worst to be merged", `frame ${worst}`) : null),
     ];
   }
 }

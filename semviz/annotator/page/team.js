@@ -5,21 +5,21 @@
 /** @import {Child} from "/static/dom.js" */
 /** @import {Page} from "./main.js" */
 /** @import {State} from "./state.js" */
-import { byId, el, svg } from "/static/dom.js";
+import { byId, el } from "/static/dom.js";
 import { VirtualList } from "/static/virtual_list.js";
 import { Compared } from "./compared.js";
+import { Feed } from "./feed.js";
 import { Shares } from "./shares.js";
+import { peopleRows } from "./team_people.js";
 import { TeamPicture } from "./team_picture.js";
-import { counted, spaced, uuid7 } from "./values.js";
-import { RenderCache, badge, capital, header, row } from "./widgets.js";
+import { counted, uuid7 } from "./values.js";
+import { RenderCache, badge, capital, row } from "./widgets.js";
 
-/** @typedef {annotator.QueueEntry["state"] | "twice"} Listed */
+/** @typedef {annotator.QueueEntry["state"] | "unsure" | "twice"} Listed */
 /** @type {Listed[]} */
-const LISTS = ["waiting", "sent back", "accepted", "twice"];
+const LISTS = ["waiting", "sent back", "accepted", "unsure", "twice"];
 const ROW_PX = 28;
 const REFRESH_MS = 1000;
-/** A time in a narrow column. @type {Intl.DateTimeFormatOptions} */
-const WHEN = { month: "numeric", day: "numeric", hour: "numeric", minute: "2-digit" };
 
 export class Team {
   /**
@@ -45,6 +45,7 @@ export class Team {
     this.picture = new TeamPicture(state, page.pictures);
     this.shares = new Shares(state, page);
     this.compared = new Compared(state, page);
+    this.feed = new Feed(page);
     /** @type {annotator.QueueEntry[]} */
     this.rows = [];
     this.list = new VirtualList(byId("team-queue"), ROW_PX, (at) => this.#row(this.rows[at]));
@@ -71,7 +72,7 @@ export class Team {
 
   /** The frames of the chosen part of the queue. */
   get queue() {
-    return this.known?.queue.filter(({ state }) => state === this.listed) ?? [];
+    return this.#entriesOf(this.listed);
   }
 
   /** The frame on screen, if it is in the queue. */
@@ -82,6 +83,12 @@ export class Team {
   /** Frames of the chosen list. */
   get listedFrames() {
     return this.listed === "twice" ? this.shares.ready : this.queue.map(({ frame }) => frame);
+  }
+
+  /** @param {Listed} list */
+  #entriesOf(list) {
+    const has = (/** @type {annotator.QueueEntry} */ { state, notes }) => (list === "unsure" ? notes.some(({ unsure }) => unsure) : state === list);
+    return this.known?.queue.filter(has) ?? [];
   }
 
   entered() {
@@ -103,12 +110,13 @@ export class Team {
       { key: "i", shift: true, view, group, title: "Pin a comment on an element", words: "note", run: () => byId("team-comment-text").focus() },
       { key: "g", shift: true, view, group, title: "Assign a range of frames", run: () => byId("team-frames").focus() },
       { key: "t", shift: true, view, group, title: "Let two people label a share of frames, blind", words: "double twice agreement", run: () => byId("twice-frames").focus() },
-      { key: "j", shift: true, view, group, title: "The next frame labelled twice that is to be merged", words: "worst disagreement", run: () => this.nextTwice() },
+      { key: "j", shift: true, view, group, title: "The frame labelled twice with the worst disagreement; again: the next", words: "merge compare", run: () => this.nextTwice() },
+      { key: "z", view, group, title: "Zoom to the comment or what stands out, or the whole image", words: "pin magnify", run: () => this.picture.toggleZoom() },
       { key: "v", view, group, title: "The version before beside the present one", words: "compare two versions conflict", run: () => this.toggleVersions() },
       { key: "ArrowDown", view, group, row: "Next, previous element of two versions", title: "Next element of two versions", run: () => this.compared.step(1) },
       { key: "ArrowUp", view, group, row: "Next, previous element of two versions", title: "Previous element of two versions", run: () => this.compared.step(-1) },
-      { key: "y", view, group, title: "Take the first person's label", run: () => this.compared.take("first") },
-      { key: "y", shift: true, view, group, title: "Take the second person's label", run: () => this.compared.take("second") },
+      { key: "y", view, group, title: "Take the first person's label", run: () => this.page.answer(0) || this.compared.take("first") },
+      { key: "y", shift: true, view, group, title: "Take the second person's label", run: () => this.page.answer(1) || this.compared.take("second") },
       { key: "m", view, group, title: "Take the mean of both labels", run: () => this.compared.take("mean") },
       { key: "x", view, group, title: "Take neither label", run: () => this.compared.take("none") },
       { key: "Escape", view, group, title: "Back to the images", run: () => this.page.views.open("images") },
@@ -126,10 +134,13 @@ export class Team {
     this.page.go(by > 0 ? frames.find((frame) => frame > now) ?? frames[0] : frames.findLast((frame) => frame < now) ?? frames[frames.length - 1]);
   }
 
+  /** Goes to the frame labelled twice whose labels are farthest apart, again: to the next. */
   nextTwice() {
     this.listed = "twice";
     this.state.set({});
-    this.step(1);
+    const { worstFirst } = this.shares;
+    if (!worstFirst.length) this.page.notify("No frame is ready to be merged: two people review it first.", "wrong");
+    this.page.go(worstFirst[worstFirst.indexOf(this.state.frame ?? -1) + 1] ?? worstFirst[0] ?? null);
   }
 
   toggleVersions() {
@@ -196,9 +207,10 @@ export class Team {
     const { known, cache, state } = this;
     const { frame } = state;
     for (const id of ["team-assign", "team-twice"]) byId(id).hidden = !this.mayReview;
+    byId("team-comment").hidden = state.workspace.role === "look";
     const isReady = frame !== null && this.shares.ready.includes(frame);
     this.compared.ask(this.mayReview && (isReady || this.versions) ? frame : null, state.labels.operation);
-    cache.show("team-people", [known?.people, known?.reviewed, known?.done_on, this.shares.known, this.page.people.known, state.connected], () => this.#people());
+    cache.show("team-people", [known?.people, known?.reviewed, known?.done_on, this.shares.known, this.page.people.known, state.selected?.element, state.connected], () => (known ? peopleRows(this, known) : [el("p", { class: "dim team-text", text: reading(state.connected) })]));
     for (const id of ["team-person", "twice-first", "twice-second"]) {
       const before = byId(id, HTMLSelectElement).value;
       cache.show(id, known?.people.map(({ name }) => name), () => known?.people.map(({ name }, at) => el("option", { value: name, text: name, selected: name === before || (!before && id === "twice-second" && at === 1) ? "" : null })) ?? []);
@@ -207,17 +219,20 @@ export class Team {
     this.#showQueue();
     cache.show("team-head", [this.entry, frame, this.versions, this.compared.shown], () => this.#head());
     cache.show("team-notes", [this.entry], () => this.#notes());
-    const names = state.elements.map(({ id, name }) => ({ id, name }));
+    const wanted = (/** @type {{id: string, name: string}} */ { id, name }) => Number(this.entry?.notes.some(({ element }) => element === id)) || Number(this.entry?.stands_out.startsWith(name) ?? 0);
+    const names = state.elements.map(({ id, name }) => ({ id, name })).sort((a, b) => wanted(b) - wanted(a));
     cache.show("team-element", names, () => names.map(({ id, name }) => el("option", { value: id, text: name })));
-    cache.show("team-hints", this.compared.shown?.is_blind ? this.compared.shown.people : 0, () => this.#hints());
+    cache.show("team-hints", [this.compared.shown?.is_blind ? this.compared.shown.people : 0, this.entry?.person, this.page.people.followed], () => this.#hints());
+    byId("team").classList.toggle("twice", this.listed === "twice");
     this.compared.show();
-    this.picture.show(frame, this.entry);
+    this.feed.show();
+    this.picture.show(frame, this.entry, byId("team-element", HTMLSelectElement).value);
   }
 
   /** Shows the chosen list: thousands of frames, of which those in sight are in the page. */
   #showQueue() {
     const { listed, known, state } = this;
-    const shown = [known, listed, state.theme, listed === "twice" ? state.frame : 0];
+    const shown = [known, listed, state.theme, state.connected, listed === "twice" ? state.frame : 0];
     if (shown.some((value, at) => value !== this.shownQueue[at])) {
       this.shownQueue = shown;
       this.rows = listed === "twice" ? [] : this.queue;
@@ -236,7 +251,7 @@ export class Team {
   #instead() {
     if (this.listed === "twice") return /** @type {Node[]} */ (this.shares.rows());
     const [, , accepted] = this.#counts();
-    const text = this.known === null ? "Reading …" : this.listed === "waiting" ? `Nothing waits. ${accepted} accepted.` : `No frame is ${this.listed}.`;
+    const text = this.known === null ? reading(this.state.connected) : this.listed === "waiting" ? `Nothing waits. ${accepted} accepted.` : `No frame is ${this.listed}.`;
     return [el("p", { class: "dim team-text", text })];
   }
 
@@ -253,53 +268,7 @@ export class Team {
   }
 
   #counts() {
-    return LISTS.map((list) => (list === "twice" ? this.shares.ready.length : this.known?.queue.filter(({ state }) => state === list).length ?? 0));
-  }
-
-  /** @returns {Child[]} */
-  #people() {
-    const { known } = this;
-    if (!known) return [el("p", { class: "dim team-text", text: "Reading …" })];
-    const count = this.state.order.length;
-    const pace = known.done_on ? `; at this pace done on ${day(known.done_on)}` : "";
-    const about = `${spaced(known.reviewed)} of ${counted(count, "frame")} reviewed${pace}`;
-    const alone = `You label alone. In a terminal: semviz annotate ${this.state.workspace.name} --invite NAME makes an address to send.`;
-    return [
-      header("Who has what", about),
-      ...known.people.map((person) => this.#person(person)),
-      known.people.length > 1 ? null : el("p", { class: "dim team-text", text: alone }),
-    ];
-  }
-
-  /** @param {annotator.TeamPerson} person */
-  #person({ name, ranges, assigned, reviewed, pace, edits, last, done_on: done }) {
-    const here = this.state.connected ? this.page.people.known.find((one) => one.name === name)?.frames ?? [] : [];
-    const isMe = name === this.state.workspace.author;
-    const where = here.length ? `frame ${here.join(", ")}` : last ? `last edit ${new Date(last).toLocaleString([], WHEN)}` : "away";
-    return el("div", { class: isMe ? "team-person chosen" : "team-person" },
-      el("div", { class: "team-name" }, el("b", { text: isMe ? `${name}, you` : name }), el("span", { class: "dim", text: where })),
-      el("div", { class: "team-done" }, el("b", { text: assigned ? `${reviewed} / ${assigned}` : `${reviewed}` }), el("span", { class: "dim", text: done ? `${pace} in 8 h, done ${day(done)}` : `${counted(edits, "edit")}, ${pace} in 8 h` })),
-      this.#bar(ranges, here, this.shares.of(name)));
-  }
-
-  /** Assigned frames, how many of them are reviewed, those labelled blind, and where somebody is.
-   *
-   * @param {[number, number][]} ranges
-   * @param {number[]} here
-   * @param {number[]} twice frames that this person labels blind
-   */
-  #bar(ranges, here, twice) {
-    const { order, labels } = this.state;
-    const places = new Map(order.map((index, place) => [index, place]));
-    const inside = (/** @type {number} */ index) => ranges.some(([first, last]) => index >= first && index <= last);
-    const cells = labels.frames.filter(({ index }) => inside(index));
-    const rect = (/** @type {number} */ index, /** @type {string} */ kind) =>
-      svg("rect", { class: kind, x: places.get(index) ?? 0, y: 2, width: 1.02, height: 8 });
-    return svg("svg", { class: "team-bar", viewBox: `0 0 ${Math.max(order.length, 1)} 12`, preserveAspectRatio: "none" },
-      svg("rect", { class: "track", x: 0, y: 5.5, width: order.length, height: 1 }),
-      ...cells.map(({ index, state }) => rect(index, state.startsWith("reviewed") ? "done" : state === "in work" ? "work" : "open")),
-      ...twice.map((index) => svg("rect", { class: "twice", x: (places.get(index) ?? 0) + 0.25, y: 0.5, width: 0.5, height: 11 })),
-      ...here.map((index) => svg("rect", { class: "here", x: places.get(index) ?? 0, y: 0, width: Math.max(1, order.length / 200), height: 12 })));
+    return LISTS.map((list) => (list === "twice" ? this.shares.ready.length : this.#entriesOf(list).length));
   }
 
   #chips() {
@@ -355,19 +324,12 @@ export class Team {
     const { shown } = this.compared;
     if (shown?.is_blind) {
       const [first, second] = shown.people;
-      return [hint(["ArrowDown"], "next element"), hint(["Y"], first), hint(["Shift Y"], second), hint(["M"], "mean"), hint(["X"], "neither"), hint(["Enter"], "merge"), hint(["Shift J"], "next labelled twice")];
+      return [hint(["↓"], "next element"), hint(["Y"], first), hint(["Shift Y"], second), hint(["M"], "mean"), hint(["X"], "neither"), hint(["Enter"], "merge"), hint(["Shift J"], "next labelled twice")];
     }
-    return [hint(["Shift ."], "next in the queue"), hint(["Enter"], "accept"), hint(["Shift N"], "send back"), hint(["Shift I"], "pin a comment"), hint(["V"], "two versions"), hint(["Shift G"], "assign frames"), hint(["Shift T"], "label twice"), hint(["F2"], "open in Images")];
+    const { followed } = this.page.people;
+    return [hint(["Shift ."], "next in the queue"), hint(["Enter"], "accept"), hint(["Shift N"], "send back"), hint(["Shift I"], "pin a comment"), hint(["Z"], "zoom to the pin"), hint(["V"], "two versions"), hint(["F2"], "open in Images"), hint(["Shift L"], followed ? `stop following ${followed}` : "follow"), hint(["Shift G"], "assign frames"), hint(["Shift T"], "label twice")];
   }
 }
 
-/** A day as people say it: a weekday within a week, else a date.
- *
- * @param {string} iso
- */
-function day(iso) {
-  const [year, month, date] = iso.split("-").map(Number);
-  const then = new Date(year, month - 1, date);
-  const isSoon = then.getTime() - Date.now() < 6 * 86_400_000;
-  return then.toLocaleDateString([], isSoon ? { weekday: "long" } : { day: "numeric", month: "short" });
-}
+/** What stands where the work of all is still to come. */
+const reading = (/** @type {boolean} */ connected) => (connected ? "Reading …" : "No connection. This loads when the server is back.");

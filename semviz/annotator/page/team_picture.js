@@ -7,6 +7,9 @@ import { Surface } from "/static/canvas.js";
 import { byId } from "/static/dom.js";
 import { drawGlyph, drawLine, drawText } from "/static/glyphs.js";
 
+const ZOOM = 8; // at most, of the whole image
+const LEAST_PX = 40; // of the image, shown around a sign
+
 export class TeamPicture {
   /**
    * @param {State} state
@@ -21,17 +24,43 @@ export class TeamPicture {
     this.message = "";
     /** @type {annotator.QueueEntry | null} */
     this.entry = null;
+    this.element = ""; // to which one zooms
+    this.isZoomed = false;
     this.surface = new Surface(byId("team-picture", HTMLCanvasElement), (context, width, height) => this.#draw(context, width, height));
   }
 
   /**
    * @param {number | null} frame
    * @param {annotator.QueueEntry | null} entry
+   * @param {string} element chosen for a comment
    */
-  show(frame, entry) {
+  show(frame, entry, element) {
     this.entry = entry;
+    this.element = element;
     if (frame !== null && frame !== this.frame) this.#load(frame);
     this.surface.redraw();
+  }
+
+  /** Shows the chosen element larger, or the whole image. */
+  toggleZoom() {
+    this.isZoomed = !this.isZoomed;
+    this.surface.redraw();
+  }
+
+  /** Scale and place of the image: as large as it fits, or around the chosen element.
+   *
+   * @param {ImageBitmap} bitmap
+   * @param {number} width
+   * @param {number} height
+   */
+  #place(bitmap, width, height) {
+    const whole = Math.min(width / bitmap.width, height / bitmap.height);
+    const mark = this.state.elements.find(({ id }) => id === this.element)?.observations.left;
+    if (!this.isZoomed || !mark) return { scale: whole, left: (width - whole * bitmap.width) / 2, top: 0 };
+    const ends = mark.end ?? mark.anchor;
+    const [u, v] = [(mark.anchor[0] + ends[0]) / 2, (mark.anchor[1] + ends[1]) / 2];
+    const scale = Math.min(ZOOM * whole, height / (1.4 * Math.max(LEAST_PX, Math.abs(mark.anchor[1] - ends[1]))));
+    return { scale, left: width / 2 - scale * (u + 0.5), top: height / 2 - scale * (v + 0.5) };
   }
 
   /** @param {number} frame */
@@ -56,8 +85,7 @@ export class TeamPicture {
     const { bitmap, state } = this;
     if (!bitmap) drawText(context, this.message, width / 2, height / 2, { align: "center" });
     if (!bitmap || this.frame !== state.frame) return;
-    const scale = Math.min(width / bitmap.width, height / bitmap.height);
-    const left = (width - scale * bitmap.width) / 2, top = 0;
+    const { scale, left, top } = this.#place(bitmap, width, height);
     context.drawImage(bitmap, left, top, scale * bitmap.width, scale * bitmap.height);
     const at = (/** @type {[number, number]} */ [u, v]) => /** @type {[number, number]} */ ([left + scale * (u + 0.5), top + scale * (v + 0.5)]);
     const names = [];

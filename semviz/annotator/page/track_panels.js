@@ -78,9 +78,10 @@ export class TrackPanels {
 
   /** What stands in place of rows. */
   #message() {
-    const { table, filterText, filter, shown, places } = this.tracks;
+    const { table, filterText, filter, shown, places, state } = this.tracks;
     if (filter.fault) return filter.fault;
-    if (shown.length || table.total === null) return table.total === null ? "Reading the tracks …" : "";
+    if (table.total === null) return state.connected ? "Reading the tracks …" : "No connection. The tracks load when the server is back.";
+    if (shown.length) return "";
     if (table.total === 0) return "No labels yet. Label in Images (F2), or have a detector look.";
     return filterText && table.rows.size ? noHit(filterText, table, filter, places) : "";
   }
@@ -89,7 +90,7 @@ export class TrackPanels {
     const { table, shown, since } = this.tracks;
     const { total, waiting, rows: { size } } = table;
     if (total !== null && waiting) return `residuals of ${spaced(Math.max(0, total - waiting))} of ${spaced(total)}, ${Math.round((performance.now() - since) / 1000)} s so far`;
-    return `${spaced(shown.length)} of ${counted(size, "row")}`;
+    return total === null ? "" : `${spaced(shown.length)} of ${counted(size, "row")}`;
   }
 
   #chips() {

@@ -137,6 +137,7 @@ export class Tracks {
   }
 
   entered() {
+    this.matrix.look(this.matrix.first);
     this.#request();
     if (this.row) this.reveal();
   }

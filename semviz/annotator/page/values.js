@@ -16,8 +16,8 @@
  * @typedef {Omit<annotator.ObservationView, "frame" | "side"> & {frame?: number, side?: Side}} Observation */
 /** @typedef {Partial<Record<Side, Observation>>} Observations */
 /** An element as shown; `unsaved`: it is not on disk yet.
- * @typedef {Omit<annotator.ElementView, "observations" | "views" | "review_decisions" | "left_out" | "attributes"> & {
- *   observations: Observations, views?: number, review_decisions?: annotator.ReviewDecisionView[], left_out?: boolean, attributes?: {[name: string]: string}, unsaved?: boolean}} ShownElement */
+ * @typedef {Omit<annotator.ElementView, "observations" | "views" | "review_decisions" | "left_out" | "attributes" | "notes"> & {
+ *   observations: Observations, views?: number, review_decisions?: annotator.ReviewDecisionView[], left_out?: boolean, attributes?: {[name: string]: string}, notes?: annotator.NoteView[], unsaved?: boolean}} ShownElement */
 
 /** Where on the page an edit was made.
  * @typedef {{frame: number | null, side: Side, second?: number | null, class: number}} ShownAt */
@@ -41,8 +41,8 @@
  * @typedef {{element: string, side: Side, also?: string | null}} Selected */
 /** @typedef {{snap: boolean, whole: boolean, loupe: boolean, guides: boolean, proposals: boolean, bright: boolean, map: boolean, backdrop: boolean}} Aids */
 /** @typedef {{brightness: number, contrast: number}} Brightness */
-/** A refused edit, and what the user may answer; the edit waits until then.
- * @typedef {{entry: Entry, text: string, answers: {title: string, run: () => void}[]}} Question */
+/** A refused edit, and what the user may answer; the edit waits until then. `conflict`: who changed the same, and when.
+ * @typedef {{entry: Entry, text: string, answers: {title: string, run: () => void}[], conflict?: {operation: number, author: string, time: string}}} Question */
 
 /** @type {Side[]} */
 export const SIDES = ["left", "right"];

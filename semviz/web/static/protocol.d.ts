@@ -210,6 +210,9 @@ export interface ConflictEvent {
   retry: boolean;
   overwritten: Array<string>;
   is_deleted: boolean;
+  operation: number;
+  author: string;
+  time: string;
 }
 
 /** The ends by which a person replaced those of a detection. */
@@ -476,6 +479,7 @@ export interface ElementView {
   review_decisions: Array<ReviewDecisionView>;
   left_out: boolean;
   attributes: Record<string, string>;
+  notes: Array<NoteView>;
 }
 
 /** Let these frames be labelled as all others again. */
@@ -603,6 +607,7 @@ export interface LabelsView {
   history: Array<OperationView>;
   map: MapSummary;
   frames: Array<FrameSummary>;
+  team: TeamSummary;
 }
 
 /** State that label elements are one landmark: the smallest number keeps all observations. Notes on the others pass to the element that is kept. So do attributes and decisions, unless it has its own. A decision that two of them are apart is revoked. */
@@ -641,6 +646,7 @@ export interface MergeFrameEdit {
   kind: "merge frame";
   frame_index: number;
   marks: Array<DrawnMark>;
+  of_second?: Array<string>;
 }
 
 /** The nearest element of the same class that no image shows together with this one. */
@@ -777,6 +783,7 @@ export interface PersonView {
   name: string;
   role: "annotate" | "review" | "look";
   frames: Array<number>;
+  element: string;
 }
 
 /** What a person may choose, and what it costs. */
@@ -1103,6 +1110,7 @@ export interface ShareView {
   frames: Array<number>;
   reviewed: [number, number];
   ready: Array<number>;
+  worst_px: Array<number>;
   merged: number;
   agreement: AgreementView | null;
 }
@@ -1253,6 +1261,12 @@ export interface TeamPerson {
   done_on: string;
 }
 
+/** What the page of everybody knows of the work of all. */
+export interface TeamSummary {
+  sent_back: Array<number>;
+  assigned: Record<string, Array<[number, number]>>;
+}
+
 /** The work of all. */
 export interface TeamView {
   people: Array<TeamPerson>;
@@ -1367,9 +1381,10 @@ export interface TracksEvent {
   waiting: number;
 }
 
-/** Undo the author's last edit. */
+/** Undo the author's last edit, or that of a request. */
 export interface UndoEdit {
   kind: "undo";
+  request?: string | null;
 }
 
 /** State that observations of an element show another landmark: a new element, kept apart. Notes on frames that only the new element is labelled in go along. */
