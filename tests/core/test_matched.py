@@ -167,7 +167,7 @@ def matches_and_truth(seed: int) -> tuple[Matches, BoolArray, Pose]:
 def test_a_rough_pose_settles_where_the_truth_does_by_seeing_less_sharply_first() -> None:
     rng, free = np.random.default_rng(2), PriorRecord.of(None)
     settled, settled_sharply = 0, 0
-    for seed in range(20):
+    for seed in range(8):
         matches, _, truth = matches_and_truth(seed)
         scenes = AnnealedProblems.of(matches)
         start = Pose.exp(rng.normal(0.0, [0.15] * 3 + [0.008] * 3)) @ truth
@@ -177,8 +177,8 @@ def test_a_rough_pose_settles_where_the_truth_does_by_seeing_less_sharply_first(
         settled_sharply += (
             find_consensus(sharp, free, start.rotation, start.translation).gain > goal
         )
-    assert settled >= 18
-    assert settled_sharply < 10
+    assert settled >= 7
+    assert settled_sharply < 5
 
 
 def test_polishing_frees_a_pose_from_a_wrong_match() -> None:
