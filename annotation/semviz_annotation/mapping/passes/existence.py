@@ -1,11 +1,13 @@
 """The probability that an element exists in each pass, from where it was seen and missed.
 
 A persistence filter (Rosen, Mason, Leonard: Towards lifelong feature-based mapping in semi-static
-environments, ICRA 2016), in passes instead of seconds, with two additions. An element can also
-appear. And the misses of one pass are not independent, since what hides an element hides it in all
-frames: with an unknown probability of its own, an element is hidden throughout a pass.
+environments, ICRA 2016) over passes, with two additions. An element can also appear: a change
+between two passes is the likelier, the more time is between them, if that is known. And the misses
+of one pass are not independent, since what hides an element hides it in all frames: with an unknown
+probability of its own, an element is hidden throughout a pass.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -24,13 +26,18 @@ _PARTLY_HIDDEN, _VISIBLE_PART = 0.15, 0.4
 _MISTAKEN = ((0.97, 0.01), (0.03, 0.3))
 """How often other things are detected where nothing is: share of the places, rate per frame."""
 CHANGE_PER_PASS = 0.01
-"""Probability that an element vanishes, or another appears, from one pass to the next."""
+"""Probability that an element vanishes, or another appears, from one pass to the next, if the time
+between them is not known."""
+LIFETIME_S = 3000.0 * 86400.0
+"""Expected lifetime of an element: passes without dates count as a month apart."""
 _NEVER_THERE = 0.02
 """Probability that an element of the map is none."""
 _CLUTTER = 0.5
 """Probability that a candidate is none."""
 _MISSING = 0.2
 """Probability that a candidate was there before the first pass."""
+_LEAST_S = 600.0
+"""Passes within ten minutes count as so far apart."""
 _ROUNDS = 5
 
 
@@ -62,12 +69,29 @@ class Existence(NamedTuple):
         return self.probability[:, -1]
 
 
-def existence_of(counts: PassCounts, is_mapped: BoolArray) -> Existence:
-    """Return the existence of elements; those of the map (n,) cannot appear."""
+def change_between(start_s: Sequence[float | None]) -> FloatArray:
+    """Return the probabilities (p - 1,) that an element vanishes from each of p passes to the next.
+
+    ``start_s`` are their times, oldest first. Unless all are known, every two count alike.
+    """
+    known = [time_s for time_s in start_s if time_s is not None]
+    if len(known) < len(start_s):
+        return np.full(len(start_s) - 1, CHANGE_PER_PASS)
+    return np.asarray(-np.expm1(-np.maximum(np.diff(known), _LEAST_S) / LIFETIME_S))
+
+
+def existence_of(
+    counts: PassCounts, is_mapped: BoolArray, change: FloatArray | None = None
+) -> Existence:
+    """Return the existence of elements; those of the map (n,) cannot appear.
+
+    ``change`` is that of ``change_between``; by default, no time is known.
+    """
     absent, exists = _log_likelihoods(counts)
     n, p = absent.shape
+    change = change_between([None] * p) if change is None else change
     result = Existence(np.zeros((n, p)), np.zeros(n, np.int64), np.zeros(n, np.int64))
-    mapped, candidates = _lives_of_mapped(p), _lives_of_candidates(p)
+    mapped, candidates = _lives_of_mapped(change), _lives_of_candidates(change)
     by_life = _by_life(absent[is_mapped], exists[is_mapped], mapped)
     weights = _hidden_weights(by_life, mapped)
     _fill(result, is_mapped, by_life, weights, mapped)
@@ -119,25 +143,27 @@ class _Lives(NamedTuple):
     """(l,)"""
 
 
-def _lives_of_mapped(p: int) -> _Lives:
-    gone = np.arange(p + 1)
-    prior = (1.0 - _NEVER_THERE) * _vanishing(gone - 1, p - 1)
+def _lives_of_mapped(change: FloatArray) -> _Lives:
+    gone = np.arange(len(change) + 2)
+    first = np.zeros_like(gone)
+    prior = (1.0 - _NEVER_THERE) * _lasting(first, gone, change)
     prior[0] = _NEVER_THERE
-    return _Lives(np.zeros(p + 1, np.int64), gone, np.log(prior))
+    return _Lives(first, gone, np.log(prior))
 
 
-def _lives_of_candidates(p: int) -> _Lives:
-    first, gone = np.triu_indices(p + 1, 1)
-    appeared = (1.0 - _CLUTTER - _MISSING) / max(p - 1, 1)
-    prior = np.where(first == 0, _MISSING, appeared) * _vanishing(gone - first - 1, p - first - 1)
+def _lives_of_candidates(change: FloatArray) -> _Lives:
+    first, gone = np.triu_indices(len(change) + 2, 1)
+    appeared = (1.0 - _CLUTTER - _MISSING) * np.append(1.0, change) / max(change.sum(), 1e-300)
+    prior = np.where(first == 0, _MISSING, appeared[first]) * _lasting(first, gone, change)
     return _Lives(np.append(first, 0), np.append(gone, 0), np.log(np.append(prior, _CLUTTER)))
 
 
-def _vanishing(after: IntArray, passes: IntArray | int) -> FloatArray:
-    """Return the probability to stay for ``after`` more passes and then to vanish; without the
-    latter if it stays for all ``passes``."""
-    stays = (1.0 - CHANGE_PER_PASS) ** np.maximum(after, 0)
-    return np.asarray(np.where(after < passes, CHANGE_PER_PASS, 1.0) * stays)
+def _lasting(first: IntArray, gone: IntArray, change: FloatArray) -> FloatArray:
+    """Return the probability to stay until the pass before ``gone``, and then to vanish, of what
+    exists in the pass ``first``; what is there in the last pass need not vanish."""
+    survived = np.concatenate([[0.0], np.log1p(-change).cumsum()])
+    lasts = np.exp(survived[gone - 1] - survived[first])
+    return np.asarray(lasts * np.append(change, 1.0)[gone - 1])
 
 
 def _by_life(absent: FloatArray, exists: FloatArray, lives: _Lives) -> FloatArray:

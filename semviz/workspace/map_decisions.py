@@ -1,0 +1,176 @@
+"""What people decided on changes of a map: the file ``map_decisions.json`` of a workspace.
+
+The file holds the decisions in order; the last one about a change counts. The page "Map over time"
+and ``semviz map changes`` write and read it. Nothing here changes a map: decisions are made into a
+new one by ``changed_map``.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+from pydantic import Field
+
+from semviz.workspace.checked_file import CheckedModel, changing, read_checked, write_checked
+from semviz_annotation.mapping.passes.candidates import SAME_M
+from semviz_annotation.mapping.passes.changes import Change, ChangeKind, MapChanges
+from semviz_core.common.errors import SemvizError
+
+Verdict: TypeAlias = Literal["make", "keep", "label", "open"]
+"""``make`` the change; ``keep`` the map as it is; ask for a ``label``, and keep the map until then;
+``open``: not decided."""
+_Name = Annotated[str, Field(max_length=80)]
+
+
+def verdict_word(kind: ChangeKind, verdict: Verdict) -> str:
+    """Return a verdict as people say it: a new element is added, one that vanished removed."""
+    if verdict == "make":
+        return {"new": "add", "moved": "move"}.get(kind, "remove")
+    return "ask for a label" if verdict == "label" else verdict
+
+
+class DecisionConflictError(SemvizError):
+    """Somebody else decided on the same change in between."""
+
+
+class LabelPlace(CheckedModel):
+    """Where what a label is asked for is best seen."""
+
+    workspace: str
+    """Folder of the workspace of the pass; empty if the run names none."""
+    run: str
+    frame: int = Field(ge=0, lt=2**31)
+
+
+class MapDecision(CheckedModel):
+    """One decision on a change of one version of a map."""
+
+    map: str
+    """Digest of the map."""
+    kind: ChangeKind
+    name: _Name
+    """Of the element; of a new one, as it was called then."""
+    class_name: str
+    place_m: tuple[float, float, float]
+    verdict: Verdict
+    existence: float
+    """Probability that the element exists, as it was known then."""
+    passes: tuple[str, ...]
+    """Names of the passes that were known then."""
+    author: _Name
+    time: str
+    """UTC, ISO 8601."""
+    label: LabelPlace | None = None
+    """Of the verdict ``label``."""
+
+    def is_about(self, change: Change, digest: str) -> bool:
+        """Whether it decides a change of the map with this digest. New elements are told by class
+        and place, since their names follow from the passes."""
+        if (self.map, self.kind, self.class_name) != (digest, change.kind, change.class_name):
+            return False
+        if change.kind == "new":
+            return math.dist(self.place_m[:2], change.place_m[:2]) <= SAME_M
+        return self.name == change.name
+
+
+class MapDecisions(CheckedModel):
+    """The content of the file."""
+
+    version: Literal[1] = 1
+    decisions: tuple[MapDecision, ...] = ()
+    """Oldest first."""
+
+    def on(self, change: Change, digest: str) -> MapDecision | None:
+        """Return the decision on a change; None if it is open."""
+        about = (one for one in reversed(self.decisions) if one.is_about(change, digest))
+        last = next(about, None)
+        return None if last is None or last.verdict == "open" else last
+
+    def made(self, found: MapChanges, also: Iterable[str] = ()) -> frozenset[str]:
+        """Return the names of the changes to make, and of those of ``also`` that are open."""
+        digest, other = found.semantic_map.digest, set(also)
+        decided = {change.name: self.on(change, digest) for change in found.changes}
+        return frozenset(
+            name
+            for name, decision in decided.items()
+            if (name in other if decision is None else decision.verdict == "make")
+        )
+
+    def labels_in(self, workspace: Path) -> list[MapDecision]:
+        """Return the decisions that ask for labels in frames of a workspace, oldest first."""
+        last = {(one.map, one.kind, one.name): one for one in self.decisions}
+        folder = workspace.resolve()
+        return [
+            one
+            for one in last.values()
+            if one.label is not None and Path(one.label.workspace).resolve() == folder
+        ]
+
+
+def read_decisions(path: Path) -> MapDecisions:
+    """Return the decisions in the file ``path``; none if there is no such file.
+
+    Raise SemvizError if it is damaged, or of a newer version.
+    """
+    return read_checked(path, MapDecisions, "decisions", "all changes of the map are then open")
+
+
+def decide(
+    path: Path,
+    found: MapChanges,
+    verdicts: Sequence[tuple[str, Verdict, LabelPlace | None]],
+    author: str,
+    seen: int | None = None,
+) -> MapDecisions:
+    """Add verdicts on changes, by their names, to the file ``path``. Return all decisions.
+
+    ``seen`` counts the decisions that the author had seen. Raise DecisionConflictError if a later
+    one is about the same change, and SemvizError for a name that is no change; nothing is then
+    decided.
+    """
+    changes = {change.name: change for change in found.changes}
+    digest, time = found.semantic_map.digest, datetime.now(UTC).isoformat(timespec="milliseconds")
+    if unknown := sorted({name for name, *_ in verdicts} - changes.keys()):
+        raise SemvizError(f"{unknown[0]} is no change of this map; leave it out")
+    with changing(path):
+        before = read_decisions(path)
+        for later in before.decisions[len(before.decisions) if seen is None else seen :]:
+            for name, *_ in verdicts:
+                if later.is_about(changes[name], digest):
+                    raise DecisionConflictError(
+                        f"{later.author} decided on {name} meanwhile; nothing was changed: look "
+                        "at it and repeat"
+                    )
+        made = [
+            _decision(changes[name], verdict, found, place, author, time)
+            for name, verdict, place in verdicts
+        ]
+        after = MapDecisions(decisions=(*before.decisions, *made))
+        if made:
+            write_checked(path, after)
+    return after
+
+
+def _decision(
+    change: Change,
+    verdict: Verdict,
+    found: MapChanges,
+    place: LabelPlace | None,
+    author: str,
+    time: str,
+) -> MapDecision:
+    values: dict[str, Any] = {
+        name: getattr(change, name) for name in ("kind", "name", "class_name", "place_m")
+    }
+    return MapDecision(
+        map=found.semantic_map.digest,
+        verdict=verdict,
+        existence=change.existence,
+        passes=found.passes,
+        author=author,
+        time=time,
+        label=place,
+        **values,
+    )
