@@ -39,7 +39,7 @@ class LabelPlace(CheckedModel):
     """Where what a label is asked for is best seen."""
 
     workspace: str
-    """Folder of the workspace of the pass; empty if the run names none."""
+    """Folder of the workspace of the pass, from that of the map; ``.``: it is the same."""
     run: str
     frame: int = Field(ge=0, lt=2**31)
 
@@ -98,15 +98,10 @@ class MapDecisions(CheckedModel):
             if (name in other if decision is None else decision.verdict == "make")
         )
 
-    def labels_in(self, workspace: Path) -> list[MapDecision]:
-        """Return the decisions that ask for labels in frames of a workspace, oldest first."""
+    def labels_here(self) -> list[MapDecision]:
+        """Return the decisions that ask for labels in frames of this workspace, oldest first."""
         last = {(one.map, one.kind, one.name): one for one in self.decisions}
-        folder = workspace.resolve()
-        return [
-            one
-            for one in last.values()
-            if one.label is not None and Path(one.label.workspace).resolve() == folder
-        ]
+        return [one for one in last.values() if one.label and one.label.workspace == "."]
 
 
 def read_decisions(path: Path) -> MapDecisions:
