@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -30,7 +31,7 @@ def changing_workspace(
     elements = street.truth_map.elements
     shown = [id_ for id_ in elements.id.tolist() if still.is_shown(id_)]
     poles = [id_ for id_ in shown if elements.is_line[elements.id == id_][0]]
-    (sign, *_) = (id_ for id_ in shown if id_ not in poles)
+    sign = max((id_ for id_ in shown if id_ not in poles), key=still.frames_that_show)
     vanishes, moves = dict.fromkeys((poles[0], poles[5]), changes), {poles[3]: changes}
     offset_m = {poles[3]: np.array([0.9, -1.2, 0.0])}
     world = ChangingStreet(street, vanishes, {sign: changes}, moves, offset_m)
@@ -53,8 +54,9 @@ def changing_workspace(
     return workspace, runs, world
 
 
-def _painted(world: ChangingStreet, number: int, index: int) -> bytes:
-    """The left image of a frame as the street is in a pass."""
+@lru_cache(maxsize=2)
+def _painter(world: ChangingStreet, number: int) -> Painter:
+    """Of the street as it is in a pass. Textures cost a second."""
     layout, street = world.street.layout, world.street
     gone = {id_ for id_, after in world.vanishes.items() if number >= after}
     gone |= {id_ for id_, before in world.appears.items() if number < before}
@@ -69,6 +71,10 @@ def _painted(world: ChangingStreet, number: int, index: int) -> bytes:
         if pole.id not in gone
     )
     signs = tuple(sign for sign in layout.signs if sign.id not in gone)
-    painter = Painter(replace(layout, poles=poles, signs=signs), street.seed)
-    image = painter.paint(street.view(index, "left"))
+    return Painter(replace(layout, poles=poles, signs=signs), street.seed)
+
+
+def _painted(world: ChangingStreet, number: int, index: int) -> bytes:
+    """The left image of a frame as the street is in a pass."""
+    image = _painter(world, number).paint(world.street.view(index, "left"))
     return cv2.imencode(".jpg", image[:, :, ::-1])[1].tobytes()

@@ -62,20 +62,20 @@ def change_facts(found: MapChanges, change: Change) -> tuple[EvidenceLine, ...]:
     rows = []
     if change.kind != "new" and chances:
         missed = 100.0 * (1.0 - min(expected / chances, 1.0))
-        rows.append(("A frame that has it in view misses it", f"{missed:.0f} %"))
+        rows.append(("A frame with a view misses it", f"{missed:.0f} %"))
     if change.kind == "vanished":
-        rows.append(("Gone, by all passes", _percent(1.0 - change.existence)))
+        rows.append(("Gone", _percent(1.0 - change.existence)))
     else:
-        where = "It stands at its new place" if change.kind == "moved" else "It exists now"
-        rows.append((f"{where}, by all passes", _percent(change.existence)))
+        where = "Stands at its new place" if change.kind == "moved" else "Exists now"
+        rows.append((where, _percent(change.existence)))
     if change.kind in ("new", "moved"):
         sigma_m = np.sqrt(np.trace(footprint_covariance_m2(found.whole[[row]])[0]) / 2.0)
-        rows.append(("Its place is known to", f"± {sigma_m:.2f} m"))
+        rows.append(("Place known to", f"± {sigma_m:.2f} m"))
     for other in near_rows(found, change):
         seen, met = (counts.seen[other] > 0).sum(), (counts.chances[other] > 0).sum()
         away_m = np.linalg.norm(np.subtract(*footprint_m(found.whole)[[other, row], :2]))
         name = found.semantic_map.name_of(int(found.whole.id[other]))
-        rows.append((f"{name}, {away_m:.1f} m beside it", f"seen by {seen} of {met} passes"))
+        rows.append((f"{name}, {away_m:.1f} m away", f"seen by {seen} of {met} passes"))
     return tuple(EvidenceLine(name=name, value=value) for name, value in rows)
 
 
@@ -120,4 +120,6 @@ def _counted(count: int, one: str, more: str) -> str:
 def _percent(probability: float) -> str:
     if probability > 0.999:
         return "> 99.9 %"
+    if probability < 0.001:
+        return "< 0.1 %"
     return f"{100.0 * probability:.1f} %"

@@ -104,6 +104,20 @@ class MapDecisions(CheckedModel):
         return [one for one in last.values() if one.label and one.label.workspace == "."]
 
 
+def asked_by_frame(path: Path) -> dict[int, tuple[str, ...]]:
+    """Return the names of elements whose labels are asked for in frames of the workspace, by the
+    decisions in the file ``path``; none if it is damaged, which other uses of it report."""
+    try:
+        asked = read_decisions(path).labels_here()
+    except SemvizError:
+        return {}
+    names: dict[int, tuple[str, ...]] = {}
+    for one in asked:
+        assert one.label is not None
+        names[one.label.frame] = (*names.get(one.label.frame, ()), one.name)
+    return names
+
+
 def read_decisions(path: Path) -> MapDecisions:
     """Return the decisions in the file ``path``; none if there is no such file.
 

@@ -3,6 +3,7 @@
 import itertools
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -73,16 +74,27 @@ def test_an_element_is_new_once_several_passes_see_it() -> None:
 
 def test_time_between_passes_counts_where_it_is_known() -> None:
     """Missed an hour after it was seen, an element is rather hidden than gone."""
-    day_s, rows = 86400.0, counts([SEEN, SEEN, SEEN, MISSED, MISSED])
+    day_s, missed = 86400.0, [SEEN, SEEN, SEEN, MISSED, MISSED]
+    rows = counts(missed, *[[SEEN] * 5] * 20)
 
     def now(*days: float | None) -> float:
         times = [None if day is None else day * day_s for day in days]
-        return float(existence_of(rows, np.array([True]), change_between(times)).now[0])
+        return float(existence_of(rows, np.full(21, True), change_between(times)).now[0])
 
     month = now(0.0, 30.0, 60.0, 90.0, 120.0)
     assert now(0.0, 0.1, 0.2, 0.3, 0.4) > month + 0.1
     assert now(0.0, 30.0, 60.0, 1000.0, 1000.1) < month - 0.02
     assert now(0.0, 30.0, None, 90.0, 120.0) == pytest.approx(month, abs=0.01)
+
+
+def test_a_place_that_changes_much_makes_each_change_likelier() -> None:
+    standing, gone = [SEEN] * 6, [SEEN] * 3 + [MISSED] * 3
+
+    def now(vanished: int) -> float:
+        rows = counts(*[standing] * (30 - vanished), *[gone] * vanished)
+        return float(existence_of(rows, np.full(30, True)).now[-1])
+
+    assert now(5) < now(1)
 
 
 @settings(max_examples=40, deadline=None)
@@ -92,7 +104,9 @@ def test_existence_is_that_of_all_possible_lives(passes: list[tuple[int, int]]) 
     from semviz_annotation.mapping.passes import existence
 
     rows = [(min(pair), max(pair)) for pair in passes]
-    found = existence_of(counts(rows), np.array([True]))
+    expected_rate = patch.multiple(existence, _FACTORS=(1.0,), _FACTOR_PRIOR=(1.0,))
+    with expected_rate:
+        found = existence_of(counts(rows), np.array([True]))
     p, change = len(rows), existence.CHANGE_PER_PASS
 
     def rated(seen: int, chances: int, rate: float) -> float:

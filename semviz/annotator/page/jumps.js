@@ -45,6 +45,10 @@ export const JUMPS = {
     summary: ([first]) => (first?.disagreement ? `${first.disagreement.new} new, ${first.disagreement.missed} missed` : "none"),
     element: ({ disagreement }) => disagreement?.worst_id,
   },
+  asked: {
+    title: "Labels asked for", has: ({ asked }) => asked.length > 0,
+    summary: (frames) => (frames.length > 2 ? frames.length : frames.flatMap(({ asked }) => asked).join(", ")),
+  },
 };
 
 /** The frames of a list: in order of time, or worst first if the list has ranks.
@@ -70,10 +74,19 @@ export function jumpCommands(state, actions) {
     { key: ",", shift: true, group, title: "Previous in the jump list", row: "Previous, next in the jump list", run: () => jump(state, actions, -1) },
     { key: ".", shift: true, group, title: "Next in the jump list", row: "Previous, next in the jump list", run: () => jump(state, actions, 1) },
     { key: "j", group, title: "Choose the jump list", run: () => {
-      const names = [...Object.keys(JUMPS), ...reviewLists(state)];
+      const names = [...frameLists(state), ...reviewLists(state)];
       state.set({ jump: names[(names.indexOf(state.jump) + 1) % names.length] });
     } },
   ];
+}
+
+/** The lists of frames; that of labels asked for only if there are some.
+ *
+ * @param {State} state
+ */
+function frameLists(state) {
+  const isAsked = state.jump === "asked" || state.labels.frames.some(JUMPS.asked.has);
+  return Object.keys(JUMPS).filter((name) => name !== "asked" || isAsked);
 }
 
 /** The lists of the last map; that of tracks only if the map was built from detections.
@@ -145,7 +158,7 @@ export class Jumps {
     const counts = { tracks, decisions, findings };
     if (this.frames !== labels.frames) {
       this.frames = labels.frames;
-      this.lists = Object.entries(JUMPS).map(([name, { title, summary }]) => [name, title, summary(jumpFrames(this.state, name))]);
+      this.lists = frameLists(this.state).map((name) => [name, JUMPS[name].title, JUMPS[name].summary(jumpFrames(this.state, name))]);
     }
     /** @type {Row[]} */
     const reviews = reviewLists(this.state).map((name) => [name, REVIEWS[name].title, built === null && name !== "tracks" ? "no map" : counts[name]]);

@@ -530,6 +530,7 @@ export interface FrameSummary {
   worst: WorstLabel | null;
   proposed: number | null;
   disagreement: Disagreement | null;
+  asked: Array<string>;
 }
 
 /** Show another frame. */

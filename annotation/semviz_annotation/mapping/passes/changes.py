@@ -26,13 +26,14 @@ from semviz_annotation.mapping.passes.existence import (
 )
 from semviz_core.base.elements import Elements3D, joined
 from semviz_core.base.semantic_map import SemanticMap, footprint_m
-from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 
 ChangeKind = Literal["vanished", "new", "moved", "unsure"]
 KINDS: tuple[ChangeKind, ...] = ("vanished", "new", "moved", "unsure")
 GONE, SURE, LIKELY = 0.05, 0.95, 0.5
-"""Probabilities of existence: an element is gone below, one is new above; unsure in between."""
+"""Probabilities of existence: an element is gone below ``GONE``, and unsure up to ``LIKELY``. A new
+one is real with ``SURE``, and now there with ``LIKELY``."""
 MOVED_M = 3.0
 """An element that vanished and a new one of its class are one that moved, up to this distance."""
 
@@ -156,13 +157,29 @@ def find_changes(
     whole = joined(semantic_map.elements, extra)
     both = replace(semantic_map, elements=whole, provenance=(), attributes={})
     evidence = evidence_of(passes, both)
-    found = existence_of(
-        evidence.counts,
-        np.arange(len(whole)) < len(semantic_map),
-        change_between([one.start_s for one in passes]),
-    )
+    is_mapped = np.arange(len(whole)) < len(semantic_map)
+    change = change_between([one.start_s for one in passes])
+    found = existence_of(evidence.counts, is_mapped, change)
+    replaced = _replaced(whole, is_mapped, found)
+    found = existence_of(evidence.counts, is_mapped, change, replaced)
     names = tuple(one.name for one in passes)
     return _named(semantic_map, whole, evidence, found, names)
+
+
+def _replaced(whole: Elements3D, is_mapped: BoolArray, found: Existence) -> IntArray:
+    """Return the pass (n,) in which a new element of its class appeared beside each; or -1."""
+    replaced, place_m = np.full(len(whole), -1), footprint_m(whole)
+    for new in np.flatnonzero(_is_new(found) & ~is_mapped & (found.first > 0)):
+        near = np.linalg.norm(place_m - place_m[new], axis=1) <= MOVED_M
+        near &= is_mapped & (whole.class_id == whole.class_id[new])
+        replaced[near] = found.first[new]
+    return replaced
+
+
+def _is_new(found: Existence) -> BoolArray:
+    """Return which candidates are elements that the map lacks: real, and rather not gone again. One
+    that is hidden in the last pass is real all the same."""
+    return np.asarray((found.ever > SURE) & (found.now > LIKELY))
 
 
 class _Moved(NamedTuple):
@@ -184,7 +201,7 @@ def _named(
     is_gone = (now[:n] < GONE) & seen
     vanished = np.flatnonzero(is_gone)
     doubtful = np.flatnonzero((now[:n] < LIKELY) & met & ~is_gone)
-    appeared = n + np.flatnonzero(now[n:] > SURE)
+    appeared = n + np.flatnonzero(_is_new(found)[n:])
     moved = _moved(whole, vanished, appeared)
     taken = {pair.new for pair in moved.values()}
     new = [row for row in appeared.tolist() if row not in taken]

@@ -8,7 +8,7 @@ probability of its own, an element is hidden throughout a pass.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +38,12 @@ _MISSING = 0.2
 """Probability that a candidate was there before the first pass."""
 _LEAST_S = 600.0
 """Passes within ten minutes count as so far apart."""
+_FACTORS, _FACTOR_PRIOR = (1.0, 4.0, 16.0), (0.6, 0.3, 0.1)
+"""How much faster than expected a place may change, and the weights of it before any pass. Not
+slower: few passes do not tell how rare changes are."""
+_MOST_CHANGE = 0.2
+_MOVED = 0.5
+"""Probability that an element vanished where a new one of its class appeared close by."""
 _ROUNDS = 5
 
 
@@ -62,6 +68,8 @@ class Existence(NamedTuple):
     """(n,) the pass in which it most likely appeared; 0: it was there before."""
     gone: IntArray
     """(n,) the pass from which on it is most likely gone; p: it is not."""
+    ever: FloatArray
+    """(n,) The probability that it exists in any pass: that it is no false detection."""
 
     @property
     def now(self) -> FloatArray:
@@ -81,20 +89,31 @@ def change_between(start_s: Sequence[float | None]) -> FloatArray:
 
 
 def existence_of(
-    counts: PassCounts, is_mapped: BoolArray, change: FloatArray | None = None
+    counts: PassCounts,
+    is_mapped: BoolArray,
+    change: FloatArray | None = None,
+    replaced: IntArray | None = None,
 ) -> Existence:
     """Return the existence of elements; those of the map (n,) cannot appear.
 
-    ``change`` is that of ``change_between``; by default, no time is known.
+    ``change`` is that of ``change_between``; by default, no time is known. ``replaced`` (n,) is the
+    pass in which a new element of its class appeared beside one of the map, -1 if none did.
     """
     absent, exists = _log_likelihoods(counts)
     n, p = absent.shape
     change = change_between([None] * p) if change is None else change
-    result = Existence(np.zeros((n, p)), np.zeros(n, np.int64), np.zeros(n, np.int64))
+    none = np.zeros(n, np.int64)
+    result = Existence(np.zeros((n, p)), none, none.copy(), np.zeros(n))
+    by_life = _by_life(absent[is_mapped], exists[is_mapped], _lives_of_mapped(change))
+    change = _fitted(change, by_life)
     mapped, candidates = _lives_of_mapped(change), _lives_of_candidates(change)
-    by_life = _by_life(absent[is_mapped], exists[is_mapped], mapped)
     weights = _hidden_weights(by_life, mapped)
-    _fill(result, is_mapped, by_life, weights, mapped)
+    prior = np.broadcast_to(mapped.log_prior, (len(by_life), len(mapped.gone)))
+    if replaced is not None:
+        prior = np.where((replaced >= 0)[is_mapped, None], np.log(1.0 - _MOVED), 0.0) + prior
+        moved = replaced[is_mapped, None] == mapped.gone
+        prior = np.where(moved, np.logaddexp(prior, np.log(_MOVED)), prior)
+    _fill(result, is_mapped, by_life, weights, replace(mapped, log_prior=prior))
     by_life = _by_life(absent[~is_mapped], exists[~is_mapped], candidates)
     _fill(result, ~is_mapped, by_life, weights, candidates)
     return result
@@ -113,6 +132,7 @@ def _fill(
     result.probability[rows] = np.clip(life @ during, 0.0, 1.0)
     best = life.argmax(axis=1)
     result.first[rows], result.gone[rows] = lives.first[best], lives.gone[best]
+    result.ever[rows] = np.clip(life @ (lives.gone > lives.first), 0.0, 1.0)
 
 
 def _log_likelihoods(counts: PassCounts) -> tuple[FloatArray, FloatArray]:
@@ -132,7 +152,8 @@ def _log_likelihoods(counts: PassCounts) -> tuple[FloatArray, FloatArray]:
     return absent, np.logaddexp(hidden, visible[..., None] + np.log1p(-HIDDEN))
 
 
-class _Lives(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Lives:
     """From which pass to which an element may exist: l possibilities."""
 
     first: IntArray
@@ -140,7 +161,7 @@ class _Lives(NamedTuple):
     gone: IntArray
     """(l,) the pass after the last; equal to ``first`` if it never exists."""
     log_prior: FloatArray
-    """(l,)"""
+    """(l,), or (k, l) of each of k elements"""
 
 
 def _lives_of_mapped(change: FloatArray) -> _Lives:
@@ -173,6 +194,18 @@ def _by_life(absent: FloatArray, exists: FloatArray, lives: _Lives) -> FloatArra
     there = np.concatenate([none[..., None] + 0.0 * HIDDEN, exists.cumsum(axis=1)], axis=1)
     outside = away[:, lives.first] + away[:, -1:] - away[:, lives.gone]
     return np.asarray(outside[..., None] + there[:, lives.gone] - there[:, lives.first])
+
+
+def _fitted(change: FloatArray, by_life: FloatArray) -> FloatArray:
+    """Return ``change``, as much faster as the elements of the map support."""
+    fitted = [np.minimum(change * factor, _MOST_CHANGE) for factor in _FACTORS]
+    log_evidence = []
+    for values in fitted:
+        lives = _lives_of_mapped(values)
+        log_weights = np.log(_hidden_weights(by_life, lives))
+        each = by_life + lives.log_prior[:, None] + log_weights
+        log_evidence.append(np.logaddexp.reduce(each, axis=(1, 2)).sum())
+    return fitted[int(np.argmax(np.array(log_evidence) + np.log(_FACTOR_PRIOR)))]
 
 
 def _hidden_weights(by_life: FloatArray, lives: _Lives) -> FloatArray:

@@ -53,7 +53,7 @@ export class ChangeList {
     const [done, sure] = [changes.filter(({ name }) => verdicts.has(name)).length, openSure(changes, verdicts).length];
     byId("change-done").textContent = changes.length ? `${done} of ${changes.length} decided` : "";
     byId("change-sure").hidden = !sure || !this.view.canDecide;
-    fill(byId("change-sure"), [`Make ${sure} sure ${sure === 1 ? "one" : "ones"} `, el("kbd", { text: "Shift" }), el("kbd", { text: "Enter" })]);
+    fill(byId("change-sure"), [`Make ${sure} sure `, el("kbd", { text: "Shift" }), el("kbd", { text: "Enter" })]);
     this.mark();
   }
 
@@ -68,7 +68,7 @@ export class ChangeList {
   chip(kind, count) {
     if (kind && !count) return null;
     return el("button", { class: "chip", "aria-pressed": this.only === kind, title: kind ? KINDS[kind].title : "All changes", onclick: () => this.filter(kind) },
-      kind ? changeMark(kind) : "All", String(count));
+      kind ? changeMark(kind) : el("span", { text: "All" }), el("span", { text: count }));
   }
 
   /** @param {ListRow} row */

@@ -16,11 +16,13 @@ const MARGIN_PX = 34;
 const NEAR_PX = 14; // a click hits a change up to this distance
 const CLICK_PX = 4; // a press that moves less is a click
 const ROAD_M = 7;
-const SELECTED_M = 30; // around the selected change, when it is zoomed to
+const SELECTED_M = 12; // around the selected change, when it is zoomed to
+const AROUND_M = 20; // around all changes
 
 export class ChangeMap {
   view = new View();
   isFitted = false;
+  showsAll = false;
   /** @type {OverTimeView | null} */
   found = null;
 
@@ -60,7 +62,10 @@ export class ChangeMap {
   zoom(whole) {
     const change = whole ? null : this.page.change;
     if (change) this.fitTo([change.place, change.place], SELECTED_M);
-    else this.isFitted = false;
+    else {
+      this.showsAll = whole;
+      this.isFitted = false;
+    }
     this.surface.redraw();
   }
 
@@ -82,6 +87,17 @@ export class ChangeMap {
    */
   screen([x, y]) {
     return this.view.toScreen([x, -y]);
+  }
+
+  /** Shows the changes, or all elements if there are none, or if they are asked for.
+   *
+   * @param {OverTimeView} found
+   */
+  fit({ route, standing, changes }) {
+    const places = changes.map(({ place }) => place);
+    const all = this.showsAll || !places.length;
+    if (all) this.fitTo([...places, ...route, ...standing.map(({ place }) => place)], 2);
+    else this.fitTo(places, AROUND_M);
   }
 
   /**
@@ -108,7 +124,7 @@ export class ChangeMap {
   draw(context, width, height) {
     const { found } = this;
     if (!found) return;
-    if (!this.isFitted) this.fitTo([...found.route, ...found.standing.map(({ place }) => place), ...found.changes.map(({ place }) => place)], 2);
+    if (!this.isFitted) this.fit(found);
     this.drawRoute(context, found.route);
     context.globalAlpha = 0.42;
     for (const { class_id: id, place } of found.standing) this.drawElement(context, id, place, 4, []);

@@ -97,7 +97,7 @@ export function diffLines(changes, verdicts) {
     if (!found) return [];
     const mark = found.verdict === "make" ? MARKS[change.kind] : found.verdict === "label" ? "?" : "=";
     const what = found.verdict === "label" ? `label, ${found.label}` : found.verdict === "keep" ? `kept by ${found.author}` : change.story;
-    return [{ mark, text: `${change.name}  ${what}  p ${change.existence.toFixed(2)}` }];
+    return [{ mark, text: `${change.name}  ${what}  p\u00a0${change.existence.toFixed(2)}` }];
   });
 }
 

@@ -39,6 +39,7 @@ export class OverTime {
    * @type {string | null} */
   selected = null;
   isRequested = false;
+  since = 0; // when it was requested, ms
   /** @type {ReturnType<typeof setInterval> | undefined} */
   waiting = undefined;
 
@@ -110,6 +111,7 @@ export class OverTime {
   request() {
     if (this.isRequested || !this.page.store.isOpen) return;
     this.isRequested = true;
+    this.since = Date.now();
     this.page.socket.send("get_over_time");
   }
 
@@ -122,16 +124,14 @@ export class OverTime {
     this.found = found;
     clearInterval(this.waiting);
     byId("over-time-state").hidden = found !== null;
-    const main = byId("over-time-main");
-    main.style.visibility = found ? "" : "hidden";
+    byId("over-time-main").classList.toggle("waiting", found === null);
     const reasons = leftOut.map(({ run, reason }) => el("li", {}, el("b", { text: run }), ` ${reason}`));
     fill(byId("runs-left-out"), reasons);
     byId("passes-left-out").textContent = leftOut.length ? `${leftOut.length} ${leftOut.length === 1 ? "run" : "runs"} left out` : "";
     byId("passes-left-out").title = leftOut.map(({ run, reason }) => `${run}: ${reason}`).join("\n");
     byId("over-time-hint").hidden = !isOver || found !== null;
     byId("over-time-about").textContent = found ? about(found.passes, found.elements) : "";
-    const start = Date.now();
-    const say = () => { byId("over-time-progress").textContent = isOver ? sentence(progress) : `Looking for changes: ${progress}${seconds(start)}`; };
+    const say = () => { byId("over-time-progress").textContent = sentence(isOver ? progress : `${progress}${seconds(this.since)}`); };
     say();
     if (!isOver) this.waiting = setInterval(say, 1000);
     this.fill();
@@ -252,7 +252,7 @@ export class OverTime {
 /** @param {number} start */
 function seconds(start) {
   const passed = Math.round((Date.now() - start) / 1000);
-  return passed ? `, ${passed} s` : "";
+  return passed ? `, ${passed} s so far` : "";
 }
 
 /** @param {string} text */
