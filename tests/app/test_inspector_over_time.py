@@ -112,10 +112,14 @@ def test_decisions_are_found_again_with_other_passes_and_never_silently_replaced
     town: Town, over_time: OverTime, decisions: Path
 ) -> None:
     workspace, runs, _ = town
-    found, name = over_time.changes, gone(town)
+    found = over_time.changes
+    (name,) = (one.name for one in found.changes if one.kind == "new")
     decide(decisions, found, [(name, "keep", None)], "mara", 0)
     fewer = searched(workspace, runs[:6]).changes
-    (change,) = (one for one in fewer.changes if one.name == name)
+    (change,) = (one for one in fewer.changes if one.kind == "new")
+    change = replace(change, name="n-09")
+    elsewhere = replace(change, place_m=(change.place_m[0] + 2.0, *change.place_m[1:]))
+    assert read_decisions(decisions).on(elsewhere, fewer.semantic_map.digest) is None
     kept = read_decisions(decisions).on(change, fewer.semantic_map.digest)
     assert kept is not None
     assert (kept.verdict, kept.author) == ("keep", "mara")
@@ -252,6 +256,7 @@ def test_a_label_that_is_asked_for_is_in_the_jump_list_of_annotate(
         row = page.locator("#jumps :text('Labels asked for')")
         row.click()
         wait_for(page, lambda: in_url(page, "frame") == "21", "the frame")
+        page.goto("about:blank")  # before its server goes
 
 
 @pytest.mark.browser
