@@ -444,7 +444,8 @@ def tracked_labels(street: Street) -> Iterator[Edit]:
 
 WITHOUT_BROWSER = (draw_route, take_rerun)
 IN_BROWSER = (
-    take_inspector, take_story, take_map_over_time, take_image, take_space, take_selected, take_solver, take_compare,
+    take_inspector, take_story, take_map_over_time, take_image, take_space, take_selected,
+    take_solver, take_compare,
     take_forecast, take_what_if, take_label, take_report, take_detector_report, take_annotator,
     take_review, take_tracks, take_team,
 )  # fmt: skip

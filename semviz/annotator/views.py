@@ -12,7 +12,7 @@ from semviz.annotator.map_review import MapSummary
 from semviz.annotator.panes import Pane, Panes
 from semviz.web.protocol import ImageSize, Part
 from semviz.workspace.blind import BlindWorkspace
-from semviz.workspace.map_decisions import asked_by_frame
+from semviz.workspace.map_decisions import asked_by_frame, decisions_path
 from semviz.workspace.people import Role
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import (
@@ -259,7 +259,7 @@ def frame_summaries(
     workspace: Workspace,
 ) -> list[FrameSummary]:
     """Return the review states of frames, their quality if known, and what is asked for in them."""
-    asked = asked_by_frame(workspace.map_decisions_path)
+    asked = asked_by_frame(decisions_path(workspace))
     return [_frame_summary(labels, i, facts_of(i), asked.get(i, ())) for i in indices]
 
 

@@ -12,7 +12,7 @@ from semviz.commands import parsing
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
-    from semviz.workspace.map_decisions import MapDecisions
+    from semviz.workspace.map_decisions import ChangeDecisions
     from semviz.workspace.workspace import Workspace
     from semviz_annotation.mapping.passes.changes import MapChanges
     from semviz_annotation.mapping.passes.evidence import Pass
@@ -45,7 +45,7 @@ class MapChangesCommand:
 
     def run(self) -> int:
         from semviz.presentation.terminal import Steps, announce_compiling
-        from semviz.workspace.map_decisions import read_decisions
+        from semviz.workspace.map_decisions import decisions_path, read_decisions
         from semviz_annotation.mapping.passes.changed_map import changed_map
         from semviz_annotation.mapping.passes.changes import find_changes
         from semviz_core.base.map_file import save_map
@@ -58,7 +58,7 @@ class MapChangesCommand:
         with Steps() as steps:
             passes = _passes(self.runs, semantic_map)
             found = find_changes(passes, semantic_map, workspace.read_labels(), steps.show)
-        decisions = read_decisions(workspace.map_decisions_path)
+        decisions = read_decisions(decisions_path(workspace))
         changed = None
         if path is not None:
             decisions = self._decide(workspace, found)
@@ -68,7 +68,7 @@ class MapChangesCommand:
             said = found.as_dict() | ({} if path is None else {"map": str(path)})
             for change, told in zip(found.changes, said["changes"], strict=True):
                 decision = decisions.on(change, semantic_map.digest)
-                told["verdict"] = "open" if decision is None else decision.verdict
+                told["answer"] = "open" if decision is None else decision.answer
             print(json.dumps(said))
             return 0
         print(found.as_text())
@@ -90,20 +90,20 @@ class MapChangesCommand:
         check_outputs(path, PARQUET, can_force=False, purpose="map")
         return path
 
-    def _decide(self, workspace: "Workspace", found: "MapChanges") -> "MapDecisions":
+    def _decide(self, workspace: "Workspace", found: "MapChanges") -> "ChangeDecisions":
         """Store what is kept, and that what is open and sure is changed."""
-        from semviz.workspace.map_decisions import Verdict, decide, read_decisions
+        from semviz.workspace.map_decisions import Answer, decide, decisions_path, read_decisions
         from semviz.workspace.settings import login_name
 
-        path, digest = workspace.map_decisions_path, found.semantic_map.digest
+        path, digest = decisions_path(workspace), found.semantic_map.digest
         before = read_decisions(path)
-        verdicts: dict[str, Verdict] = {
+        answers: dict[str, Answer] = {
             change.name: "make"
             for change in found.changes
             if change.name in found.sure and before.on(change, digest) is None
         }
-        verdicts |= dict.fromkeys(self.keep, "keep")
-        rows = [(name, verdict, None) for name, verdict in verdicts.items()]
+        answers |= dict.fromkeys(self.keep, "keep")
+        rows = [(name, answer, None) for name, answer in answers.items()]
         return decide(path, found, rows, login_name())
 
 
@@ -116,11 +116,11 @@ def _passes(paths: Iterable[Path], semantic_map: "SemanticMap") -> "list[Pass]":
     return in_time(passes)
 
 
-def _decision_lines(found: "MapChanges", decisions: "MapDecisions") -> Iterator[str]:
-    from semviz.workspace.map_decisions import verdict_word
+def _decision_lines(found: "MapChanges", decisions: "ChangeDecisions") -> Iterator[str]:
+    from semviz.workspace.map_decisions import answer_word
 
     for change in found.changes:
         decision = decisions.on(change, found.semantic_map.digest)
         if decision is not None:
-            word = verdict_word(change.kind, decision.verdict)
+            word = answer_word(change.kind, decision.answer)
             yield f"decided: {change.name} {word}, by {decision.author} on {decision.time[:10]}"

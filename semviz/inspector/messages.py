@@ -7,7 +7,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from semviz.inspector import views, views_frame, views_over_time, views_run, what_if_options
+from semviz.inspector import (
+    over_time_requests,
+    views,
+    views_frame,
+    views_over_time,
+    views_run,
+    what_if_options,
+)
 from semviz.inspector.state import ImageMode, MapColors, View
 from semviz.inspector.views_run import BaseFrameEvent, ComparisonEvent, GatesEvent
 from semviz.web.protocol import (
@@ -20,7 +27,6 @@ from semviz.web.protocol import (
     SetThemeRequest,
 )
 from semviz.web.shapes import Theme
-from semviz.workspace.map_decisions import Verdict
 from semviz_annotation.storage.operations import EditBase
 from semviz_core.base.frame import Side
 
@@ -188,52 +194,6 @@ class UndoAnswerRequest(Request):
     """What the page had seen of the labels."""
 
 
-class GetOverTimeRequest(Request):
-    """Search the runs for changes of the open run's map."""
-
-    type: Literal["get_over_time"] = "get_over_time"
-
-
-class GoToChangeRequest(Request):
-    """Show the frame that shows a change best, before it or after, and select its element."""
-
-    type: Literal["go_to_change"] = "go_to_change"
-    name: str
-    is_after: bool
-
-
-class DecideChangesRequest(Request):
-    """Decide on changes of the map, by their names."""
-
-    type: Literal["decide_changes"] = "decide_changes"
-    names: tuple[str, ...]
-    verdict: Verdict
-    seen: int
-    """Number of decisions that the page had seen."""
-
-
-class UndoVerdictRequest(Request):
-    """Undo the last decision on changes that was made on this page."""
-
-    type: Literal["undo_verdict"] = "undo_verdict"
-    seen: int
-    """Number of decisions that the page had seen."""
-
-
-class OpenAskedLabelRequest(Request):
-    """Open the frame in which a label of a change is asked for."""
-
-    type: Literal["open_asked_label"] = "open_asked_label"
-    name: str
-
-
-class WriteChangedMapRequest(Request):
-    """Write the map after the decided changes as a new map of the workspace."""
-
-    type: Literal["write_changed_map"] = "write_changed_map"
-    name: str
-
-
 class GetLabelEditsRequest(Request):
     """Count the label edits that are newer than the map of this run."""
 
@@ -392,12 +352,12 @@ InspectorRequest = Annotated[
     | GoToDecisionRequest
     | AnswerDecisionRequest
     | UndoAnswerRequest
-    | GetOverTimeRequest
-    | GoToChangeRequest
-    | DecideChangesRequest
-    | UndoVerdictRequest
-    | OpenAskedLabelRequest
-    | WriteChangedMapRequest
+    | over_time_requests.GetOverTimeRequest
+    | over_time_requests.GoToChangeRequest
+    | over_time_requests.DecideChangesRequest
+    | over_time_requests.UndoChangeAnswerRequest
+    | over_time_requests.OpenAskedLabelRequest
+    | over_time_requests.WriteChangedMapRequest
     | GetLabelEditsRequest
     | OpenLabelRequest
     | MergeDuplicatesRequest
@@ -442,7 +402,7 @@ InspectorEvent = (
     | views_run.ForecastEvent
     | views_run.DecisionsEvent
     | views_over_time.OverTimeEvent
-    | views_over_time.ChangeVerdictsEvent
+    | views_over_time.ChangeAnswersEvent
     | views_over_time.ChangedMapEvent
     | views_run.LabelEditsEvent
     | views_run.LabelPageEvent

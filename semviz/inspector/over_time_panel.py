@@ -3,7 +3,7 @@
 import os
 from typing import NamedTuple
 
-from semviz.inspector import messages
+from semviz.inspector import over_time_requests
 from semviz.inspector.context import Panel
 from semviz.inspector.element_card import workspaces_near
 from semviz.inspector.over_time import (
@@ -14,18 +14,19 @@ from semviz.inspector.over_time import (
     shots_of,
 )
 from semviz.inspector.views_over_time import (
+    ChangeAnswer,
+    ChangeAnswersEvent,
     ChangedMapEvent,
-    ChangeVerdict,
-    ChangeVerdictsEvent,
 )
 from semviz.inspector.views_run import LabelPageEvent
 from semviz.web.protocol import RefusedError, handles
 from semviz.workspace.map_decisions import (
+    Answer,
+    ChangeDecisions,
     DecisionConflictError,
     LabelPlace,
-    MapDecisions,
-    Verdict,
     decide,
+    decisions_path,
     read_decisions,
 )
 from semviz.workspace.outputs import PARQUET, check_outputs
@@ -42,7 +43,7 @@ class Former(NamedTuple):
     """What a decision on a change replaced."""
 
     name: str
-    verdict: Verdict
+    answer: Answer
     label: LabelPlace | None
 
 
@@ -70,8 +71,8 @@ class OverTimePanel(Panel):
             raise SemvizError(self._note())
         return self._search.workspace
 
-    @handles(messages.GetOverTimeRequest)
-    def _get(self, _: messages.GetOverTimeRequest) -> None:
+    @handles(over_time_requests.GetOverTimeRequest)
+    def _get(self, _: over_time_requests.GetOverTimeRequest) -> None:
         search = search_of(self.context)
         search.start(lambda: self._on_progress(search))
 
@@ -81,10 +82,10 @@ class OverTimePanel(Panel):
             if search is self._search:
                 self.context.send(over_time_event(search, self.context.run.info.map_name))
                 if search.value is not None:
-                    self._send_verdicts()
+                    self._send_answers()
 
-    @handles(messages.GoToChangeRequest)
-    def _go_to(self, request: messages.GoToChangeRequest) -> None:
+    @handles(over_time_requests.GoToChangeRequest)
+    def _go_to(self, request: over_time_requests.GoToChangeRequest) -> None:
         context, change = self.context, self._change(request.name)
         shots = shots_of(self._found, change)
         shot = shots.after if request.is_after else shots.before
@@ -100,8 +101,8 @@ class OverTimePanel(Panel):
         context.send_frame()
         context.draw_frame()
 
-    @handles(messages.DecideChangesRequest)
-    def _decide(self, request: messages.DecideChangesRequest) -> None:
+    @handles(over_time_requests.DecideChangesRequest)
+    def _decide(self, request: over_time_requests.DecideChangesRequest) -> None:
         decisions, digest = self._decisions(), self._found.changes.semantic_map.digest
         former = []
         for name in request.names:
@@ -109,35 +110,35 @@ class OverTimePanel(Panel):
             former.append(
                 Former(name, "open", None)
                 if before is None
-                else Former(name, before.verdict, before.label)
+                else Former(name, before.answer, before.label)
             )
         places = {
-            name: self._label_place(self._change(name)) if request.verdict == "label" else None
+            name: self._label_place(self._change(name)) if request.answer == "label" else None
             for name in request.names
         }
-        verdicts = [Former(name, request.verdict, places[name]) for name in request.names]
-        self._store(tuple(verdicts), request.seen)
+        answers = [Former(name, request.answer, places[name]) for name in request.names]
+        self._store(tuple(answers), request.seen)
         self._done.append(tuple(former))
-        self._send_verdicts()
+        self._send_answers()
 
-    @handles(messages.UndoVerdictRequest)
-    def _undo(self, request: messages.UndoVerdictRequest) -> None:
+    @handles(over_time_requests.UndoChangeAnswerRequest)
+    def _undo(self, request: over_time_requests.UndoChangeAnswerRequest) -> None:
         if not self._done:
             raise SemvizError("nothing was decided on this page; choose another answer instead")
         self._store(self._done[-1], request.seen)
         self._done.pop()
-        self._send_verdicts()
+        self._send_answers()
 
-    def _store(self, verdicts: tuple[Former, ...], seen: int) -> None:
-        path = self._workspace.map_decisions_path
+    def _store(self, answers: tuple[Former, ...], seen: int) -> None:
+        path = decisions_path(self._workspace)
         try:
-            decide(path, self._found.changes, verdicts, login_name(), seen)
+            decide(path, self._found.changes, answers, login_name(), seen)
         except DecisionConflictError as error:
-            self._send_verdicts()  # the page has seen the decisions of now
+            self._send_answers()  # the page has seen the decisions of now
             raise RefusedError("conflict", str(error)) from None
 
-    @handles(messages.OpenAskedLabelRequest)
-    def _open_label(self, request: messages.OpenAskedLabelRequest) -> None:
+    @handles(over_time_requests.OpenAskedLabelRequest)
+    def _open_label(self, request: over_time_requests.OpenAskedLabelRequest) -> None:
         change, digest = self._change(request.name), self._found.changes.semantic_map.digest
         decision = self._decisions().on(change, digest)
         if decision is None or decision.label is None:
@@ -153,8 +154,8 @@ class OverTimePanel(Panel):
         address = f"annotate/{annotator}/?frame={decision.label.frame}{element}"
         self.context.send(LabelPageEvent(address=address))
 
-    @handles(messages.WriteChangedMapRequest)
-    def _write(self, request: messages.WriteChangedMapRequest) -> None:
+    @handles(over_time_requests.WriteChangedMapRequest)
+    def _write(self, request: over_time_requests.WriteChangedMapRequest) -> None:
         found, workspace = self._found.changes, self._workspace
         path = workspace.map_path(request.name)
         if path.exists():
@@ -169,7 +170,7 @@ class OverTimePanel(Panel):
         text = f"{path}: {len(changed)} elements. Next: {following}"
         diff = diff_maps(found.semantic_map, changed).as_text()
         self.context.send(ChangedMapEvent(name=request.name, text=text, diff=diff))
-        self._send_verdicts()
+        self._send_answers()
 
     def _change(self, name: str) -> Change:
         for change in self._found.changes.changes:
@@ -177,10 +178,10 @@ class OverTimePanel(Panel):
                 return change
         raise RefusedError("not_found", f"there is no change of {name}; reload the page")
 
-    def _decisions(self) -> MapDecisions:
+    def _decisions(self) -> ChangeDecisions:
         if self._search is None or self._search.workspace is None:
-            return MapDecisions()
-        return read_decisions(self._search.workspace.map_decisions_path)
+            return ChangeDecisions()
+        return read_decisions(decisions_path(self._search.workspace))
 
     def _label_place(self, change: Change) -> LabelPlace:
         """Return where a label of a change is asked for. Raise SemvizError if that is unknown."""
@@ -199,17 +200,17 @@ class OverTimePanel(Panel):
         folder = os.path.relpath(workspace.path.resolve(), self._workspace.path.resolve())
         return LabelPlace(workspace=folder, run=one.name, frame=one.frames[position].index)
 
-    def _send_verdicts(self) -> None:
+    def _send_answers(self) -> None:
         found, decisions = self._found.changes, self._decisions()
-        verdicts = []
+        answers = []
         for change in found.changes:
             decision = decisions.on(change, found.semantic_map.digest)
             if decision is not None:
                 place = decision.label
-                verdicts.append(
-                    ChangeVerdict(
+                answers.append(
+                    ChangeAnswer(
                         name=change.name,
-                        verdict=decision.verdict,
+                        answer=decision.answer,
                         author=decision.author,
                         time=decision.time,
                         label="" if place is None else f"frame {place.frame} of {place.run}",
@@ -217,8 +218,8 @@ class OverTimePanel(Panel):
                 )
         workspace = None if self._search is None else self._search.workspace
         self.context.send(
-            ChangeVerdictsEvent(
-                verdicts=tuple(verdicts),
+            ChangeAnswersEvent(
+                answers=tuple(answers),
                 seen=len(decisions.decisions),
                 can_undo=bool(self._done),
                 can_decide=workspace is not None,

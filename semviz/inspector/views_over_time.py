@@ -5,7 +5,7 @@ from typing import Literal
 from semviz.inspector.views import Pixel
 from semviz.inspector.views_run import EvidenceLine
 from semviz.web.protocol import Event, Part
-from semviz.workspace.map_decisions import Verdict
+from semviz.workspace.map_decisions import Answer
 from semviz_annotation.mapping.passes.changes import ChangeKind
 
 
@@ -104,22 +104,22 @@ class OverTimeEvent(Event):
     found: OverTimeView | None
 
 
-class ChangeVerdict(Part):
+class ChangeAnswer(Part):
     """What somebody decided on a change, by its name."""
 
     name: str
-    verdict: Verdict
+    answer: Answer
     author: str
     time: str
     label: str
     """Of a label that is asked for: the frame to label, as text."""
 
 
-class ChangeVerdictsEvent(Event):
+class ChangeAnswersEvent(Event):
     """What is decided. ``note`` says where it is kept, or why nothing can be decided."""
 
-    type: Literal["change_verdicts"] = "change_verdicts"
-    verdicts: tuple[ChangeVerdict, ...]
+    type: Literal["change_answers"] = "change_answers"
+    answers: tuple[ChangeAnswer, ...]
     seen: int
     """Number of decisions that a page that gets this has seen."""
     can_undo: bool

@@ -14,21 +14,27 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import Field
 
 from semviz.workspace.checked_file import CheckedModel, changing, read_checked, write_checked
+from semviz.workspace.workspace import Workspace
 from semviz_annotation.mapping.passes.candidates import SAME_M
 from semviz_annotation.mapping.passes.changes import Change, ChangeKind, MapChanges
 from semviz_core.common.errors import SemvizError
 
-Verdict: TypeAlias = Literal["make", "keep", "label", "open"]
+Answer: TypeAlias = Literal["make", "keep", "label", "open"]
 """``make`` the change; ``keep`` the map as it is; ask for a ``label``, and keep the map until then;
 ``open``: not decided."""
 _Name = Annotated[str, Field(max_length=80)]
 
 
-def verdict_word(kind: ChangeKind, verdict: Verdict) -> str:
-    """Return a verdict as people say it: a new element is added, one that vanished removed."""
-    if verdict == "make":
+def decisions_path(workspace: Workspace) -> Path:
+    """Return the file of the decisions of a workspace, which need not exist."""
+    return workspace.path / "map_decisions.json"
+
+
+def answer_word(kind: ChangeKind, answer: Answer) -> str:
+    """Return a answer as people say it: a new element is added, one that vanished removed."""
+    if answer == "make":
         return {"new": "add", "moved": "move"}.get(kind, "remove")
-    return "ask for a label" if verdict == "label" else verdict
+    return "ask for a label" if answer == "label" else answer
 
 
 class DecisionConflictError(SemvizError):
@@ -44,7 +50,7 @@ class LabelPlace(CheckedModel):
     frame: int = Field(ge=0, lt=2**31)
 
 
-class MapDecision(CheckedModel):
+class ChangeDecision(CheckedModel):
     """One decision on a change of one version of a map."""
 
     map: str
@@ -54,7 +60,7 @@ class MapDecision(CheckedModel):
     """Of the element; of a new one, as it was called then."""
     class_name: str
     place_m: tuple[float, float, float]
-    verdict: Verdict
+    answer: Answer
     existence: float
     """Probability that the element exists, as it was known then."""
     passes: tuple[str, ...]
@@ -63,7 +69,7 @@ class MapDecision(CheckedModel):
     time: str
     """UTC, ISO 8601."""
     label: LabelPlace | None = None
-    """Of the verdict ``label``."""
+    """Of the answer ``label``."""
 
     def is_about(self, change: Change, digest: str) -> bool:
         """Whether it decides a change of the map with this digest. New elements are told by class
@@ -75,18 +81,18 @@ class MapDecision(CheckedModel):
         return self.name == change.name
 
 
-class MapDecisions(CheckedModel):
+class ChangeDecisions(CheckedModel):
     """The content of the file."""
 
     version: Literal[1] = 1
-    decisions: tuple[MapDecision, ...] = ()
+    decisions: tuple[ChangeDecision, ...] = ()
     """Oldest first."""
 
-    def on(self, change: Change, digest: str) -> MapDecision | None:
+    def on(self, change: Change, digest: str) -> ChangeDecision | None:
         """Return the decision on a change; None if it is open."""
         about = (one for one in reversed(self.decisions) if one.is_about(change, digest))
         last = next(about, None)
-        return None if last is None or last.verdict == "open" else last
+        return None if last is None or last.answer == "open" else last
 
     def made(self, found: MapChanges, also: Iterable[str] = ()) -> frozenset[str]:
         """Return the names of the changes to make, and of those of ``also`` that are open."""
@@ -95,10 +101,10 @@ class MapDecisions(CheckedModel):
         return frozenset(
             name
             for name, decision in decided.items()
-            if (name in other if decision is None else decision.verdict == "make")
+            if (name in other if decision is None else decision.answer == "make")
         )
 
-    def labels_here(self) -> list[MapDecision]:
+    def labels_here(self) -> list[ChangeDecision]:
         """Return the decisions that ask for labels in frames of this workspace, oldest first."""
         last = {(one.map, one.kind, one.name): one for one in self.decisions}
         return [one for one in last.values() if one.label and one.label.workspace == "."]
@@ -118,22 +124,22 @@ def asked_by_frame(path: Path) -> dict[int, tuple[str, ...]]:
     return names
 
 
-def read_decisions(path: Path) -> MapDecisions:
+def read_decisions(path: Path) -> ChangeDecisions:
     """Return the decisions in the file ``path``; none if there is no such file.
 
     Raise SemvizError if it is damaged, or of a newer version.
     """
-    return read_checked(path, MapDecisions, "decisions", "all changes of the map are then open")
+    return read_checked(path, ChangeDecisions, "decisions", "all changes of the map are then open")
 
 
 def decide(
     path: Path,
     found: MapChanges,
-    verdicts: Sequence[tuple[str, Verdict, LabelPlace | None]],
+    answers: Sequence[tuple[str, Answer, LabelPlace | None]],
     author: str,
     seen: int | None = None,
-) -> MapDecisions:
-    """Add verdicts on changes, by their names, to the file ``path``. Return all decisions.
+) -> ChangeDecisions:
+    """Add answers on changes, by their names, to the file ``path``. Return all decisions.
 
     ``seen`` counts the decisions that the author had seen. Raise DecisionConflictError if a later
     one is about the same change, and SemvizError for a name that is no change; nothing is then
@@ -141,22 +147,22 @@ def decide(
     """
     changes = {change.name: change for change in found.changes}
     digest, time = found.semantic_map.digest, datetime.now(UTC).isoformat(timespec="milliseconds")
-    if unknown := sorted({name for name, *_ in verdicts} - changes.keys()):
+    if unknown := sorted({name for name, *_ in answers} - changes.keys()):
         raise SemvizError(f"{unknown[0]} is no change of this map; leave it out")
     with changing(path):
         before = read_decisions(path)
         for later in before.decisions[len(before.decisions) if seen is None else seen :]:
-            for name, *_ in verdicts:
+            for name, *_ in answers:
                 if later.is_about(changes[name], digest):
                     raise DecisionConflictError(
                         f"{later.author} decided on {name} meanwhile; nothing was changed: look "
                         "at it and repeat"
                     )
         made = [
-            _decision(changes[name], verdict, found, place, author, time)
-            for name, verdict, place in verdicts
+            _decision(changes[name], answer, found, place, author, time)
+            for name, answer, place in answers
         ]
-        after = MapDecisions(decisions=(*before.decisions, *made))
+        after = ChangeDecisions(decisions=(*before.decisions, *made))
         if made:
             write_checked(path, after)
     return after
@@ -164,18 +170,18 @@ def decide(
 
 def _decision(
     change: Change,
-    verdict: Verdict,
+    answer: Answer,
     found: MapChanges,
     place: LabelPlace | None,
     author: str,
     time: str,
-) -> MapDecision:
+) -> ChangeDecision:
     values: dict[str, Any] = {
         name: getattr(change, name) for name in ("kind", "name", "class_name", "place_m")
     }
-    return MapDecision(
+    return ChangeDecision(
         map=found.semantic_map.digest,
-        verdict=verdict,
+        answer=answer,
         existence=change.existence,
         passes=found.passes,
         author=author,

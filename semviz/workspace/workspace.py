@@ -275,10 +275,6 @@ class Workspace:
         return self.path / POSE_CHOICES
 
     @property
-    def map_decisions_path(self) -> Path:
-        return self.path / "map_decisions.json"
-
-    @property
     def labels_path(self) -> Path:
         return self.path / "labels.db"
 

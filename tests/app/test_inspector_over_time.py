@@ -24,6 +24,7 @@ from semviz.workspace.map_decisions import (
     LabelPlace,
     asked_by_frame,
     decide,
+    decisions_path,
     read_decisions,
 )
 from semviz.workspace.workspace import Workspace
@@ -54,7 +55,7 @@ def searched(workspace: Workspace, runs: list[Path]) -> OverTime:
 @pytest.fixture
 def decisions(town: Town) -> Iterator[Path]:
     """The file of decisions, which the test starts without."""
-    path = town[0].map_decisions_path
+    path = decisions_path(town[0])
     path.unlink(missing_ok=True)
     yield path
     path.unlink(missing_ok=True)
@@ -122,7 +123,7 @@ def test_decisions_are_found_again_with_other_passes_and_never_silently_replaced
     assert read_decisions(decisions).on(elsewhere, fewer.semantic_map.digest) is None
     kept = read_decisions(decisions).on(change, fewer.semantic_map.digest)
     assert kept is not None
-    assert (kept.verdict, kept.author) == ("keep", "mara")
+    assert (kept.answer, kept.author) == ("keep", "mara")
     with pytest.raises(DecisionConflictError, match=f"mara decided on {name} meanwhile"):
         decide(decisions, found, [(name, "make", None)], "jon", 0)
     assert read_decisions(decisions).on(change, fewer.semantic_map.digest) == kept
@@ -171,9 +172,9 @@ def test_the_command_reads_decisions_of_the_page(
     command = ("map", "changes", workspace.path, *runs)
     status, output, _ = call(capsys, *command, "--write", "after", "--json")
     assert status == 0
-    verdicts = {row["name"]: row["verdict"] for row in json.loads(output)["changes"]}
-    assert verdicts.pop(name) == "label"
-    assert sorted(verdicts.values()) == ["make"] * 3 + ["open"], "one is unsure"
+    answers = {row["name"]: row["answer"] for row in json.loads(output)["changes"]}
+    assert answers.pop(name) == "label"
+    assert sorted(answers.values()) == ["make"] * 3 + ["open"], "one is unsure"
     after = load_map(workspace.map_path("after"))
     assert name in {after.name_of(id_) for id_ in after.elements.id.tolist()}
     status, output, _ = call(capsys, *command)

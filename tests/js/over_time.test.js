@@ -4,7 +4,7 @@ import { about, cell, decided, diffLines, listRows, nextOpen, openSure, passName
 
 const change = (kind, name, more = {}) => ({ kind, name, story: `${kind} story`, existence: 0.02, ...more });
 const CHANGES = [change("vanished", "P-01"), change("vanished", "P-02"), change("new", "n-01"), change("moved", "T-03"), change("unsure", "R-04")];
-const verdicts = (...rows) => new Map(rows.map(([name, verdict]) => [name, { name, verdict, author: "mara", time: "2026-05-12T08:00:00", label: verdict === "label" ? "frame 21 of may" : "" }]));
+const answers = (...rows) => new Map(rows.map(([name, answer]) => [name, { name, answer, author: "mara", time: "2026-05-12T08:00:00", label: answer === "label" ? "frame 21 of may" : "" }]));
 
 test("changes are listed by kind, each kind under its title with its number", () => {
   const rows = listRows(CHANGES, null).map(({ kind, count, change: one }) => one?.name ?? `${kind} ${count}`);
@@ -13,19 +13,19 @@ test("changes are listed by kind, each kind under its title with its number", ()
 });
 
 test("what is unsure is never decided with the sure ones, and what is decided is not decided again", () => {
-  assert.deepEqual(openSure(CHANGES, verdicts(["P-02", "keep"])), ["P-01", "n-01", "T-03"]);
+  assert.deepEqual(openSure(CHANGES, answers(["P-02", "keep"])), ["P-01", "n-01", "T-03"]);
 });
 
 test("the next open change goes round, and there is none when all are decided", () => {
-  const some = verdicts(["P-02", "keep"], ["n-01", "make"]);
+  const some = answers(["P-02", "keep"], ["n-01", "make"]);
   assert.equal(nextOpen(CHANGES, some, "P-01"), "T-03");
   assert.equal(nextOpen(CHANGES, some, "R-04"), "P-01");
   assert.equal(nextOpen(CHANGES, some, null), "P-01");
-  assert.equal(nextOpen(CHANGES, verdicts(...CHANGES.map(({ name }) => [name, "keep"])), "P-01"), null);
+  assert.equal(nextOpen(CHANGES, answers(...CHANGES.map(({ name }) => [name, "keep"])), "P-01"), null);
 });
 
 test("words and marks say what a decision does to the map", () => {
-  const all = verdicts(["P-01", "make"], ["n-01", "make"], ["T-03", "label"], ["R-04", "keep"]);
+  const all = answers(["P-01", "make"], ["n-01", "make"], ["T-03", "label"], ["R-04", "keep"]);
   assert.deepEqual(CHANGES.map((one) => decided(one, all)), ["remove", "open", "add", "wants label", "keep"]);
   assert.deepEqual(diffLines(CHANGES, all).map(({ mark }) => mark), ["-", "+", "?", "="]);
   assert.match(diffLines(CHANGES, all)[2].text, /^T-03 {2}label, frame 21 of may/);

@@ -1522,19 +1522,19 @@ export interface BaseFrameView {
 }
 
 /** What somebody decided on a change, by its name. */
-export interface ChangeVerdict {
+export interface ChangeAnswer {
   name: string;
-  verdict: "make" | "keep" | "label" | "open";
+  answer: "make" | "keep" | "label" | "open";
   author: string;
   time: string;
   label: string;
 }
 
 /** What is decided. ``note`` says where it is kept, or why nothing can be decided. */
-export interface ChangeVerdictsEvent {
-  type: "change_verdicts";
+export interface ChangeAnswersEvent {
+  type: "change_answers";
   reply_to: string | null;
-  verdicts: Array<ChangeVerdict>;
+  answers: Array<ChangeAnswer>;
   seen: number;
   can_undo: boolean;
   can_decide: boolean;
@@ -1626,7 +1626,7 @@ export interface DecideChangesRequest {
   type: "decide_changes";
   id: string;
   names: Array<string>;
-  verdict: "make" | "keep" | "label" | "open";
+  answer: "make" | "keep" | "label" | "open";
   seen: number;
 }
 
@@ -2697,18 +2697,18 @@ export interface UndoAnswerRequest {
   base?: EditBase | null;
 }
 
+/** Undo the last decision on changes that was made on this page. */
+export interface UndoChangeAnswerRequest {
+  type: "undo_change_answer";
+  id: string;
+  seen: number;
+}
+
 /** Undo the last label edit that was made here. */
 export interface UndoLabelEditRequest {
   type: "undo_label_edit";
   id: string;
   base?: EditBase | null;
-}
-
-/** Undo the last decision on changes that was made on this page. */
-export interface UndoVerdictRequest {
-  type: "undo_verdict";
-  id: string;
-  seen: number;
 }
 
 /** The user's viewpoint in 3D, metres in the map frame. */
@@ -2829,15 +2829,15 @@ export interface Requests {
   suggest_what_if: SuggestWhatIfRequest;
   sweep_what_if: SweepWhatIfRequest;
   undo_answer: UndoAnswerRequest;
+  undo_change_answer: UndoChangeAnswerRequest;
   undo_label_edit: UndoLabelEditRequest;
-  undo_verdict: UndoVerdictRequest;
   write_changed_map: WriteChangedMapRequest;
 }
 
 export interface Events {
   backdrop: BackdropEvent;
   base_frame: BaseFrameEvent;
-  change_verdicts: ChangeVerdictsEvent;
+  change_answers: ChangeAnswersEvent;
   changed_map: ChangedMapEvent;
   comparison: ComparisonEvent;
   decisions: DecisionsEvent;

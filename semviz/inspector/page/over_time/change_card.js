@@ -45,16 +45,16 @@ export class ChangeCard {
   /** @param {OverTimeChange} change */
   answers(change) {
     const { view } = this;
-    const found = view.verdicts.get(change.name);
-    /** @type {(text: string, key: string, verdict: "make" | "keep" | "label", run: () => void) => HTMLElement} */
-    const button = (text, key, verdict, run) => el("button", { class: "small", disabled: view.canDecide ? null : "", "aria-pressed": found?.verdict === verdict, onclick: run }, `${text} `, el("kbd", { text: key }));
-    const isAsked = found?.verdict === "label";
+    const found = view.answers.get(change.name);
+    /** @type {(text: string, key: string, answer: "make" | "keep" | "label", run: () => void) => HTMLElement} */
+    const button = (text, key, answer, run) => el("button", { class: "small", disabled: view.canDecide ? null : "", "aria-pressed": found?.answer === answer, onclick: run }, `${text} `, el("kbd", { text: key }));
+    const isAsked = found?.answer === "label";
     return [
       el("div", { class: "buttons" },
         button(KINDS[change.kind].make, "Del", "make", () => view.decide("make")),
         button(change.kind === "new" ? "Leave out" : "Keep", "Enter", "keep", () => view.decide("keep")),
         button(isAsked ? "Open in annotate" : "Ask for a label", "O", "label", () => view.label())),
-      el("p", { class: "dim" }, found ? `${decided(change, view.verdicts)}, decided by ${found.author} on ${shortDate(found.time.slice(0, 10))}${found.label ? `: ${found.label}` : ""}.` : view.canDecide ? "Open." : "",
+      el("p", { class: "dim" }, found ? `${decided(change, view.answers)}, decided by ${found.author} on ${shortDate(found.time.slice(0, 10))}${found.label ? `: ${found.label}` : ""}.` : view.canDecide ? "Open." : "",
         found && view.canUndo ? el("button", { class: "small plain", onclick: () => view.undo() }, "Undo ", el("kbd", { text: "Ctrl" }), el("kbd", { text: "Z" })) : null),
     ];
   }

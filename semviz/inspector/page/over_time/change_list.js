@@ -9,7 +9,7 @@ import { KINDS, ORDER, decided, listRows, openSure } from "./model.js";
 /** @typedef {import("/static/protocol").inspector.OverTimeView} OverTimeView */
 /** @typedef {import("./model.js").Kind} Kind */
 /** @typedef {import("./model.js").ListRow} ListRow */
-/** @typedef {import("./model.js").Verdicts} Verdicts */
+/** @typedef {import("./model.js").Answers} Answers */
 /** @typedef {import("./over_time.js").OverTime} OverTime */
 
 const ROW_PX = 40;
@@ -41,16 +41,16 @@ export class ChangeList {
 
   /**
    * @param {OverTimeView} found
-   * @param {Verdicts} verdicts
+   * @param {Answers} answers
    */
-  show({ changes, elements, passes }, verdicts) {
+  show({ changes, elements, passes }, answers) {
     this.rows = listRows(changes, this.only);
     byId("change-list-about").textContent = changes.length ? `${changes.length} of ${elements.toLocaleString("en")} elements` : "";
     fill(byId("change-filters"), changes.length ? [this.chip(null, changes.length), ...ORDER.map((kind) => this.chip(kind, changes.filter((change) => change.kind === kind).length))] : []);
     byId("change-none").hidden = changes.length > 0;
     byId("change-none").textContent = `${elements.toLocaleString("en")} elements, ${passes.length} passes, no change.`;
     this.list.show(this.rows.length);
-    const [done, sure] = [changes.filter(({ name }) => verdicts.has(name)).length, openSure(changes, verdicts).length];
+    const [done, sure] = [changes.filter(({ name }) => answers.has(name)).length, openSure(changes, answers).length];
     byId("change-done").textContent = changes.length ? `${done} of ${changes.length} decided` : "";
     byId("change-sure").hidden = !sure || !this.view.canDecide;
     fill(byId("change-sure"), [`Make ${sure} sure `, el("kbd", { text: "Shift" }), el("kbd", { text: "Enter" })]);
@@ -74,7 +74,7 @@ export class ChangeList {
   /** @param {ListRow} row */
   row({ kind, count, change }) {
     if (!change) return el("li", { class: "change-title" }, changeMark(kind), el("b", { text: KINDS[kind].title }), el("span", { class: "dim", text: count }));
-    const word = decided(change, this.view.verdicts);
+    const word = decided(change, this.view.answers);
     return el("li", { class: "change-row", onclick: () => this.view.select(change.name) },
       this.view.glyph(change.class_id), el("b", { text: change.name }),
       el("span", { class: "exists", title: "Probability that it exists now", text: change.existence.toFixed(2) }),

@@ -24,8 +24,8 @@ export class MapDiff {
   }
 
   get lines() {
-    const { found, verdicts } = this.view;
-    return found ? diffLines(found.changes, verdicts) : [];
+    const { found, answers } = this.view;
+    return found ? diffLines(found.changes, answers) : [];
   }
 
   show() {

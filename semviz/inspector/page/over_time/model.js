@@ -2,12 +2,12 @@
 /* What the view "Map over time" says about changes: words, order, what is open, the lines of the diff. */
 
 /** @typedef {import("/static/protocol").inspector.OverTimeChange} OverTimeChange */
-/** @typedef {import("/static/protocol").inspector.ChangeVerdict} ChangeVerdict */
+/** @typedef {import("/static/protocol").inspector.ChangeAnswer} ChangeAnswer */
 /** @typedef {import("/static/protocol").inspector.PassRow} PassRow */
 /** @typedef {import("/static/protocol").inspector.PassView} PassView */
 /** @typedef {OverTimeChange["kind"]} Kind */
-/** @typedef {ChangeVerdict["verdict"]} Verdict */
-/** @typedef {Map<string, ChangeVerdict>} Verdicts by the names of changes */
+/** @typedef {ChangeAnswer["answer"]} Answer */
+/** @typedef {Map<string, ChangeAnswer>} Answers by the names of changes */
 
 /** Of each kind: its title, and what making the change does.
  *
@@ -41,32 +41,32 @@ export function listRows(changes, only) {
 /** What is decided on a change, in a word.
  *
  * @param {OverTimeChange} change
- * @param {Verdicts} verdicts
+ * @param {Answers} answers
  */
-export function decided({ name, kind }, verdicts) {
-  const verdict = verdicts.get(name)?.verdict ?? "open";
-  return verdict === "make" ? KINDS[kind].make.toLowerCase() : verdict === "label" ? "wants label" : verdict;
+export function decided({ name, kind }, answers) {
+  const answer = answers.get(name)?.answer ?? "open";
+  return answer === "make" ? KINDS[kind].make.toLowerCase() : answer === "label" ? "wants label" : answer;
 }
 
 /** The names of the changes that are sure and not decided.
  *
  * @param {OverTimeChange[]} changes
- * @param {Verdicts} verdicts
+ * @param {Answers} answers
  */
-export function openSure(changes, verdicts) {
-  return changes.filter(({ kind, name }) => kind !== "unsure" && !verdicts.has(name)).map(({ name }) => name);
+export function openSure(changes, answers) {
+  return changes.filter(({ kind, name }) => kind !== "unsure" && !answers.has(name)).map(({ name }) => name);
 }
 
 /** The next change that is not decided, after the one named; null if all are.
  *
  * @param {OverTimeChange[]} changes
- * @param {Verdicts} verdicts
+ * @param {Answers} answers
  * @param {string | null} name
  */
-export function nextOpen(changes, verdicts, name) {
+export function nextOpen(changes, answers, name) {
   const at = changes.findIndex((change) => change.name === name);
   const after = [...changes.slice(at + 1), ...changes.slice(0, at + 1)];
-  return after.find((change) => !verdicts.has(change.name))?.name ?? null;
+  return after.find((change) => !answers.has(change.name))?.name ?? null;
 }
 
 /** The state of a cell: a pass that saw an element, should have, or could not; before a new element was
@@ -88,15 +88,15 @@ const MARKS = { vanished: "-", new: "+", moved: "~", unsure: "-" };
 /** The decided changes as lines of a diff: `-` removed, `+` added, `~` moved, `?` a label is asked for, `=` kept.
  *
  * @param {OverTimeChange[]} changes
- * @param {Verdicts} verdicts
+ * @param {Answers} answers
  * @returns {{mark: string, text: string}[]}
  */
-export function diffLines(changes, verdicts) {
+export function diffLines(changes, answers) {
   return changes.flatMap((change) => {
-    const found = verdicts.get(change.name);
+    const found = answers.get(change.name);
     if (!found) return [];
-    const mark = found.verdict === "make" ? MARKS[change.kind] : found.verdict === "label" ? "?" : "=";
-    const what = found.verdict === "label" ? `label, ${found.label}` : found.verdict === "keep" ? `kept by ${found.author}` : change.story;
+    const mark = found.answer === "make" ? MARKS[change.kind] : found.answer === "label" ? "?" : "=";
+    const what = found.answer === "label" ? `label, ${found.label}` : found.answer === "keep" ? `kept by ${found.author}` : change.story;
     return [{ mark, text: `${change.name}  ${what}  p\u00a0${change.existence.toFixed(2)}` }];
   });
 }

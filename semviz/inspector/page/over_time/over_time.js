@@ -11,7 +11,7 @@ import { MapDiff } from "./map_diff.js";
 import { about, nextOpen, openSure } from "./model.js";
 import { PassTable } from "./pass_table.js";
 
-/** @typedef {import("/static/protocol").inspector.ChangeVerdictsEvent} ChangeVerdictsEvent */
+/** @typedef {import("/static/protocol").inspector.ChangeAnswersEvent} ChangeAnswersEvent */
 /** @typedef {import("/static/protocol").inspector.OverTimeEvent} OverTimeEvent */
 /** @typedef {import("/static/protocol").inspector.OverTimeView} OverTimeView */
 /** @typedef {import("/static/keys.js").Command} Command */
@@ -19,16 +19,16 @@ import { PassTable } from "./pass_table.js";
 /** @typedef {import("../panel.js").ClassStyle} ClassStyle */
 /** @typedef {import("../main.js").Page} Page */
 /** @typedef {import("../views.js").View} View */
-/** @typedef {import("./model.js").Verdict} Verdict */
-/** @typedef {import("./model.js").Verdicts} Verdicts */
+/** @typedef {import("./model.js").Answer} Answer */
+/** @typedef {import("./model.js").Answers} Answers */
 
 const SHOW = "over-time";
 
 export class OverTime {
   /** @type {OverTimeView | null} */
   found = null;
-  /** @type {Verdicts} */
-  verdicts = new Map();
+  /** @type {Answers} */
+  answers = new Map();
   seen = 0; // decisions that the page knows of
   canDecide = false;
   canUndo = false;
@@ -52,7 +52,7 @@ export class OverTime {
     this.card = new ChangeCard(this);
     this.diff = new MapDiff(this);
     page.socket.on("over_time", (event) => this.showFound(event));
-    page.socket.on("change_verdicts", (event) => this.showVerdicts(event));
+    page.socket.on("change_answers", (event) => this.showAnswers(event));
     page.socket.on("changed_map", (event) => this.diff.showWritten(event));
     byId("change-sure").addEventListener("click", () => this.makeSure());
     byId("change-zoom").addEventListener("click", () => this.map.zoom(false));
@@ -137,9 +137,9 @@ export class OverTime {
     this.fill();
   }
 
-  /** @param {ChangeVerdictsEvent} event */
-  showVerdicts({ verdicts, seen, can_decide: canDecide, can_undo: canUndo, note, next_map: nextMap }) {
-    this.verdicts = new Map(verdicts.map((verdict) => [verdict.name, verdict]));
+  /** @param {ChangeAnswersEvent} event */
+  showAnswers({ answers, seen, can_decide: canDecide, can_undo: canUndo, note, next_map: nextMap }) {
+    this.answers = new Map(answers.map((answer) => [answer.name, answer]));
     Object.assign(this, { seen, canDecide, canUndo, note, nextMap });
     this.fill();
   }
@@ -147,7 +147,7 @@ export class OverTime {
   fill() {
     const { found } = this;
     if (!found) return;
-    this.list.show(found, this.verdicts);
+    this.list.show(found, this.answers);
     this.table.show(this.list.changes, found.passes);
     this.map.show(found);
     this.card.show(this.change);
@@ -186,37 +186,37 @@ export class OverTime {
   }
 
   selectNextOpen() {
-    const name = nextOpen(this.list.changes, this.verdicts, this.selected);
+    const name = nextOpen(this.list.changes, this.answers, this.selected);
     if (name) this.select(name);
   }
 
-  /** @param {Verdict} verdict */
-  decide(verdict) {
-    if (this.change && this.canDecide) this.send([this.change.name], verdict);
+  /** @param {Answer} answer */
+  decide(answer) {
+    if (this.change && this.canDecide) this.send([this.change.name], answer);
   }
 
   makeSure() {
-    const names = openSure(this.found?.changes ?? [], this.verdicts);
+    const names = openSure(this.found?.changes ?? [], this.answers);
     if (names.length && this.canDecide) this.send(names, "make");
   }
 
   label() {
     if (!this.change) return;
     const { name } = this.change;
-    if (this.verdicts.get(name)?.verdict === "label") this.page.socket.send("open_asked_label", { name });
+    if (this.answers.get(name)?.answer === "label") this.page.socket.send("open_asked_label", { name });
     else this.decide("label");
   }
 
   undo() {
-    if (this.canUndo) this.page.socket.send("undo_verdict", { seen: this.seen });
+    if (this.canUndo) this.page.socket.send("undo_change_answer", { seen: this.seen });
   }
 
   /**
    * @param {string[]} names
-   * @param {Verdict} verdict
+   * @param {Answer} answer
    */
-  send(names, verdict) {
-    this.page.socket.send("decide_changes", { names, verdict, seen: this.seen });
+  send(names, answer) {
+    this.page.socket.send("decide_changes", { names, answer, seen: this.seen });
   }
 
   /** Shows the frame that shows the selected change best, in its run.
