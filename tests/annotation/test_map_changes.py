@@ -32,7 +32,9 @@ def counts(*elements: list[tuple[int, int]]) -> PassCounts:
 
 
 def exists(*passes: tuple[int, int], mapped: bool = True) -> float:
-    found = existence_of(counts(list(passes)), np.array([mapped]))
+    """Among twenty elements that every pass sees."""
+    standing = [[SEEN] * len(passes)] * 20
+    found = existence_of(counts(list(passes), *standing), np.array([mapped] + [True] * 20))
     return float(found.now[0])
 
 
