@@ -43,6 +43,7 @@ from semviz_core.research.evaluation.roads import move_element
 from semviz_core.simulation.street import Street
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
+from changing_runs import changing_workspace
 from serving import at
 from support.street_labels import careful, label_street
 
@@ -135,6 +136,19 @@ def take_story(page: Page) -> None:
         page.click("#story-causes .cause >> nth=1")
         page.wait_for_timeout(500)
         page.screenshot(path=IMAGES / "serve-story.png")
+
+
+def take_map_over_time(page: Page) -> None:
+    """A street that changes after its third pass."""
+    with tempfile.TemporaryDirectory() as folder:
+        _, runs, _ = changing_workspace(Path(folder), changes=3, passes=8, images=True)
+        with inspecting(page, "?show=over-time", *runs):
+            page.wait_for_selector(".change-row", timeout=LOADED_MS)
+            page.keyboard.press(".")
+            page.keyboard.press("Delete")
+            page.keyboard.press("Shift+.")
+            page.wait_for_timeout(2000)
+            page.screenshot(path=IMAGES / "serve-map-over-time.png")
 
 
 def take_image(page: Page) -> None:
@@ -432,7 +446,8 @@ def tracked_labels(street: Street) -> Iterator[Edit]:
 
 WITHOUT_BROWSER = (draw_route, take_rerun)
 IN_BROWSER = (
-    take_inspector, take_story, take_image, take_space, take_selected, take_solver, take_compare,
+    take_inspector, take_story, take_map_over_time, take_image, take_space, take_selected,
+    take_solver, take_compare,
     take_forecast, take_what_if, take_label, take_report, take_detector_report, take_annotator,
     take_review, take_tracks, take_team,
 )  # fmt: skip

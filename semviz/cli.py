@@ -12,7 +12,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 
-from semviz.commands import classes, labels, map_files, maps, runs
+from semviz.commands import classes, labels, map_changes, map_files, maps, runs
 from semviz.commands.backdrop import MapBackdropCommand
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
 from semviz.commands.detector_rates import DetectRatesCommand
@@ -32,7 +32,7 @@ MapCommands = Annotated[
     Annotated[maps.MapBuildCommand, subcommand("build")]
     | Annotated[maps.MapCheckCommand, subcommand("check")]
     | Annotated[maps.MapDiffCommand, subcommand("diff")]
-    | Annotated[maps.MapChangesCommand, subcommand("changes")]
+    | Annotated[map_changes.MapChangesCommand, subcommand("changes")]
     | Annotated[maps.MapLocalizabilityCommand, subcommand("localizability")]
     | Annotated[map_files.MapExportCommand, subcommand("export")]
     | Annotated[map_files.MapImportCommand, subcommand("import")]

@@ -26,7 +26,7 @@ SHOWN = 4
 PRIOR = PriorOptions()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ChangingStreet:
     """A street, and what changes in it: ids, and the first pass after the change."""
 
@@ -48,7 +48,10 @@ class ChangingStreet:
 
     def is_shown(self, id_: int) -> bool:
         """Return whether enough frames show an element, wherever else it stands by then."""
-        return self._shown[id_] >= SHOWN
+        return self.frames_that_show(id_) >= SHOWN
+
+    def frames_that_show(self, id_: int) -> int:
+        return self._shown[id_]
 
     @cached_property
     def _shown(self) -> Counter[int]:

@@ -437,7 +437,7 @@ class LabelSession:
         )
 
     def _summaries(self, labels: Labels, indices: Iterable[int]) -> list[views.FrameSummary]:
-        return [views.frame_summary(labels, index, self._quality.of(index)) for index in indices]
+        return views.frame_summaries(labels, indices, self._quality.of, self.workspace)
 
     def _check_frame(self, index: int) -> None:
         if index not in self.frames:

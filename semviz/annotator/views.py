@@ -2,7 +2,7 @@
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 
 from semviz.annotator.association import NearbyElement
@@ -12,6 +12,7 @@ from semviz.annotator.map_review import MapSummary
 from semviz.annotator.panes import Pane, Panes
 from semviz.web.protocol import ImageSize, Part
 from semviz.workspace.blind import BlindWorkspace
+from semviz.workspace.map_decisions import asked_by_frame, decisions_path
 from semviz.workspace.people import Role
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import (
@@ -113,6 +114,8 @@ class FrameSummary(Part):
     """None until the frame has been assessed, as are the next two."""
     proposed: int | None = None
     disagreement: Disagreement | None = None
+    asked: tuple[str, ...] = ()
+    """Map elements whose labels are asked for in the inspector."""
 
 
 class OperationView(Part):
@@ -290,13 +293,25 @@ def nearby_views(
     ]
 
 
-def frame_summary(labels: Labels, index: int, facts: FrameFacts | None) -> FrameSummary:
-    """Return a frame's review state, and its quality if known."""
+def frame_summaries(
+    labels: Labels,
+    indices: Iterable[int],
+    facts_of: Callable[[int], FrameFacts | None],
+    workspace: Workspace,
+) -> list[FrameSummary]:
+    """Return the review states of frames, their quality if known, and what is asked for in them."""
+    asked = asked_by_frame(decisions_path(workspace))
+    return [_frame_summary(labels, i, facts_of(i), asked.get(i, ())) for i in indices]
+
+
+def _frame_summary(
+    labels: Labels, index: int, facts: FrameFacts | None, asked: tuple[str, ...]
+) -> FrameSummary:
     here = {row.element_id for row in labels.in_frame(index)}
     elements = sum(not labels.is_left_out(element_id) for element_id in here)
     state = labels.review(index)
     if facts is None:
-        return FrameSummary(index=index, state=state, elements=elements)
+        return FrameSummary(index=index, state=state, elements=elements, asked=asked)
     return FrameSummary(
         index=index,
         state=state,
@@ -304,6 +319,7 @@ def frame_summary(labels: Labels, index: int, facts: FrameFacts | None) -> Frame
         worst=WorstLabel(px=facts.worst_px, element=facts.worst_id),
         proposed=facts.proposed,
         disagreement=facts.disagreement,
+        asked=asked,
     )
 
 

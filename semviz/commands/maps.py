@@ -1,4 +1,4 @@
-"""The commands map build, check, diff, changes and localizability."""
+"""The commands map build, check, diff and localizability."""
 
 import json
 from collections.abc import Sequence
@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import Positional, UseAppendAction, arg
+from tyro.conf import Positional, arg
 
 from semviz.commands import parsing
 from semviz.commands.poses import known_pose_review
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from semviz_annotation.mapping.association.detection_tracks import TrackOptions
     from semviz_annotation.mapping.build import BuildOptions
     from semviz_annotation.mapping.paper_baseline import PaperOptions
-    from semviz_annotation.mapping.passes.evidence import Pass
     from semviz_core.base.frame import Frame
     from semviz_core.base.semantic_map import SemanticMap
     from semviz_core.localizability.route import Conditions
@@ -247,75 +246,6 @@ def _read(workspace: "Workspace", name: str) -> "SemanticMap":
     from semviz_core.base.map_file import load_map
 
     return load_map(name) if name.endswith(".parquet") else workspace.read_map(name)
-
-
-@dataclass(frozen=True)
-class MapChangesCommand:
-    """Tell what changed since a map was made, from runs of several passes: elements that vanished,
-    appeared or moved. Nothing is written without --write.
-
-    Example: 'semviz map changes town may.rrd june.rrd july.rrd --write next --keep P-04'."""
-
-    workspace: Positional[Path]
-    """Folder of the workspace with the map."""
-    runs: Positional[tuple[Path, ...]]
-    """Runs of two or more passes, localized in the map, oldest first."""
-    map: str = "main"
-    """Name of the map."""
-    write: parsing.OptionalText = None
-    """Also write the changed map, under this name in the workspace."""
-    keep: UseAppendAction[tuple[str, ...]] = ()
-    """With --write: a change that is not to be made, by its name; one option for each."""
-    replace: bool = False
-    """Replace an existing map of this name."""
-    json: bool = False
-    """Print one JSON object instead of text."""
-
-    def run(self) -> int:
-        from semviz.presentation.terminal import Steps, announce_compiling
-        from semviz.workspace.outputs import PARQUET, check_outputs
-        from semviz_annotation.mapping.passes.changes import find_changes
-        from semviz_core.base.map_file import save_map
-
-        if self.keep and self.write is None:
-            raise SemvizError("--keep is for --write; add that, or leave it out")
-        workspace = parsing.open_workspace(self.workspace)
-        semantic_map, path = workspace.read_map(self.map), None
-        if self.write is not None:
-            path = workspace.map_path(self.write)
-            if path.exists() and not self.replace:
-                raise SemvizError(f"{path}: exists already; choose another name or use --replace")
-            check_outputs(path, PARQUET, can_force=False, purpose="map")
-        announce_compiling("the search for tracks")
-        with Steps() as steps:
-            passes = [_pass(run, semantic_map) for run in self.runs]
-            found = find_changes(passes, semantic_map, workspace.read_labels(), steps.show)
-        changed = None if path is None else found.changed_map(self.keep)
-        if path is not None and changed is not None:
-            save_map(changed, path)
-        if self.json:
-            print(json.dumps(found.as_dict() | ({} if path is None else {"map": str(path)})))
-            return 0
-        print(found.as_text())
-        if changed is not None:
-            print(f"{path}: {len(changed)} elements")
-        return 0
-
-
-def _pass(path: Path, semantic_map: "SemanticMap") -> "Pass":
-    """Read a run as a pass. Raise SemvizError if it is not in the frame of the map."""
-    from semviz.runs.reader import load_run
-    from semviz.runs.run import assumed_detector
-    from semviz_annotation.mapping.passes.evidence import Pass
-
-    run = load_run(path)
-    if run.semantic_map.frame.name != semantic_map.frame.name:
-        raise SemvizError(
-            f"{path}: is in the frame {run.semantic_map.frame.name}, the map in "
-            f"{semantic_map.frame.name}; leave it out, or localize it in this map"
-        )
-    frames = tuple(record.frame for record in run.frames)
-    return Pass(path.stem, frames, run.localizations, assumed_detector(run.info))
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,7 @@ class RunLibrary:
         self._paths = dict(zip(run_names(paths), paths, strict=True))
         self._runs: dict[str, Run] = {}
         self._cache: dict[tuple[str, Callable[[Run, Path], Any]], object] = {}
+        self._of_maps: dict[str, object] = {}
         self._lock = threading.Lock()
         self._locks: dict[str, threading.Lock] = {}
         """One a run: reading a run takes seconds, and other pages show other runs."""
@@ -85,6 +86,13 @@ class RunLibrary:
             if (name, make) not in self._cache:
                 self._cache[name, make] = make(run, self._paths[name])
             return cast(Cached, self._cache[name, make])
+
+    def of_map(self, digest: str, make: Callable[[], Cached]) -> Cached:
+        """Return ``make()`` of the map with this digest, computed once and then kept."""
+        with self._lock:
+            if digest not in self._of_maps:
+                self._of_maps[digest] = make()
+            return cast(Cached, self._of_maps[digest])
 
     def _lock_of(self, name: str) -> threading.Lock:
         with self._lock:

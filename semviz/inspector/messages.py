@@ -7,7 +7,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from semviz.inspector import views, views_frame, views_run, what_if_options
+from semviz.inspector import (
+    over_time_requests,
+    views,
+    views_frame,
+    views_over_time,
+    views_run,
+    what_if_options,
+)
 from semviz.inspector.state import ImageMode, MapColors, View
 from semviz.inspector.views_run import BaseFrameEvent, ComparisonEvent, GatesEvent
 from semviz.web.protocol import (
@@ -345,6 +352,12 @@ InspectorRequest = Annotated[
     | GoToDecisionRequest
     | AnswerDecisionRequest
     | UndoAnswerRequest
+    | over_time_requests.GetOverTimeRequest
+    | over_time_requests.GoToChangeRequest
+    | over_time_requests.DecideChangesRequest
+    | over_time_requests.UndoChangeAnswerRequest
+    | over_time_requests.OpenAskedLabelRequest
+    | over_time_requests.WriteChangedMapRequest
     | GetLabelEditsRequest
     | OpenLabelRequest
     | MergeDuplicatesRequest
@@ -388,6 +401,9 @@ InspectorEvent = (
     | views_run.ElementFramesEvent
     | views_run.ForecastEvent
     | views_run.DecisionsEvent
+    | views_over_time.OverTimeEvent
+    | views_over_time.ChangeAnswersEvent
+    | views_over_time.ChangedMapEvent
     | views_run.LabelEditsEvent
     | views_run.LabelPageEvent
     | views_run.MapSavedEvent

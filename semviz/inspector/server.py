@@ -13,6 +13,7 @@ from semviz.inspector.image import ImagePanel, RenderPanel
 from semviz.inspector.label_repair import LabelRepairPanel
 from semviz.inspector.messages import InspectorRequest
 from semviz.inspector.navigation import BackdropPanel, NavigationPanel, ViewpointPanel
+from semviz.inspector.over_time_panel import OverTimePanel
 from semviz.inspector.selection import SelectionPanel, matrix_route
 from semviz.inspector.solver import SolverPanel
 from semviz.inspector.story import StoryPanel
@@ -30,6 +31,7 @@ PANELS = (
     SelectionPanel,
     SolverPanel,
     StoryPanel,
+    OverTimePanel,
     ElementPanel,
     ForecastPanel,
     DecisionPanel,

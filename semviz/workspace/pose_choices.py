@@ -7,31 +7,22 @@ be undone and redone. The file is written as a whole, with a checksum.
 """
 
 import hashlib
-import os
-import zlib
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
+from semviz.workspace.checked_file import CheckedModel, read_checked
 from semviz_core.base.frame import Frame
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
-from semviz_core.common.files import replacing
-from semviz_core.common.limits import MOST_TEXT_BYTES, first_line, read_limited
 
 if TYPE_CHECKING:
     from semviz_core.pose_checks.faults import PoseFault
-
-try:
-    import fcntl
-except ImportError:  # not on Windows: there one process at a time may choose
-    fcntl = None  # type: ignore[assignment]
 
 FILE = "pose_choices.json"
 Choice: TypeAlias = Literal["refine", "leave out", "keep", "ask"]
@@ -44,11 +35,7 @@ _RIG: tuple[Subject, ...] = ("baseline", "right image")
 """Faults that no pose can repair."""
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class RefinedPose(_Model):
+class RefinedPose(CheckedModel):
     """The refined pose of one frame."""
 
     frame: int = Field(ge=0, lt=2**31)
@@ -65,7 +52,7 @@ class RefinedPose(_Model):
         return Pose.from_matrix(np.reshape(self.T_map_camera, (3, 4)))
 
 
-class PoseOperation(_Model):
+class PoseOperation(CheckedModel):
     """One choice for the frames ``first`` to ``last``."""
 
     choice: Choice
@@ -105,7 +92,7 @@ class PoseOperation(_Model):
         return self.model_dump(exclude={"poses", "given", "request_id"})
 
 
-class PoseChoices(_Model):
+class PoseChoices(CheckedModel):
     """The content of the file. The first ``standing`` operations count; later ones are undone."""
 
     version: Literal[1] = 1
@@ -214,43 +201,4 @@ def read_choices(path: Path) -> PoseChoices:
 
     Raise SemvizError if it is damaged, or of a newer version.
     """
-    if not path.exists():
-        return PoseChoices()
-    data = read_limited(path, MOST_TEXT_BYTES)
-    head, _, content = data.partition(b",")
-    if head != b'{"crc32":%d' % zlib.crc32(content):
-        raise SemvizError(
-            f"{path}: not as it was written (its checksum differs); restore it from a copy, or "
-            "delete it: all poses are then used as given"
-        )
-    try:
-        return PoseChoices.model_validate_json(b"{" + content)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "file"
-        fault = first_line(f"{where}: {first['msg']}")
-        raise SemvizError(
-            f"{path}: not choices that this semviz reads ({fault}); update semviz, or delete the "
-            "file: all poses are then used as given"
-        ) from None
-
-
-def write_choices(path: Path, choices: PoseChoices) -> None:
-    """Replace the file ``path``. Raise SemvizError if it cannot be written."""
-    content = choices.model_dump_json().encode()[1:]
-    with replacing(path) as temporary:
-        temporary.write_bytes(b'{"crc32":%d,' % zlib.crc32(content) + content)
-
-
-@contextmanager
-def changing(path: Path) -> Iterator[None]:
-    """Keep other processes from changing the file ``path``: none of two choices is lost."""
-    if fcntl is None:
-        yield
-        return
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        fcntl.flock(folder, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(folder)  # releases the lock
+    return read_checked(path, PoseChoices, "choices", "all poses are then used as given")

@@ -16,17 +16,16 @@ from typing import Any, Literal
 import numpy as np
 
 from semviz.workspace import pose_labels
+from semviz.workspace.checked_file import changing, write_checked
 from semviz.workspace.pose_choices import (
     Choice,
     PoseChoices,
     PoseOperation,
     RefinedPose,
     Subject,
-    changing,
     digest_of,
     now,
     subject_of,
-    write_choices,
 )
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import Labels
@@ -313,7 +312,7 @@ def choose_poses(
         for earlier in choices.operations:
             if request_id and earlier.request_id == request_id:
                 return earlier
-        write_choices(path, choices.with_operation(operation))
+        write_checked(path, choices.with_operation(operation))
     return operation
 
 
@@ -326,7 +325,7 @@ def step_choices(workspace: Workspace, by: Literal[-1, 1]) -> PoseOperation:
     with changing(path):
         choices = workspace.pose_choices()
         moved = choices.moved(by)
-        write_choices(path, moved)
+        write_checked(path, moved)
     return choices.operations[min(choices.standing, moved.standing)]
 
 

@@ -13,6 +13,7 @@
     backdrop.safetensors dense coloured points of the drive, if made; see ``backdrop``
     image_motions.safetensors  motions measured in the images; see ``pose_check``
     pose_choices.json    what people chose for wrong poses, if anything; see ``pose_choices``
+    map_decisions.json   what people decided on changes of a map; see ``map_decisions``
     detector.calibration.toml  what the scores of the detector mean, if chosen; see ``calibration``
     blind/NAME/          labels of frames that two people label blind; see ``blind``
     maps/NAME.parquet

@@ -3,6 +3,7 @@
 import itertools
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from semviz_annotation.labels.labels import Labels
+from semviz_annotation.mapping.passes.changed_map import changed_map
 from semviz_annotation.mapping.passes.changes import Change, MapChanges, find_changes
 from semviz_annotation.mapping.passes.evidence import Pass
-from semviz_annotation.mapping.passes.existence import PassCounts, existence_of
+from semviz_annotation.mapping.passes.existence import PassCounts, change_between, existence_of
 from semviz_annotation.mapping.quality.diff import diff_maps
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.common.errors import SemvizError
@@ -30,7 +32,9 @@ def counts(*elements: list[tuple[int, int]]) -> PassCounts:
 
 
 def exists(*passes: tuple[int, int], mapped: bool = True) -> float:
-    found = existence_of(counts(list(passes)), np.array([mapped]))
+    """Among twenty elements that every pass sees."""
+    standing = [[SEEN] * len(passes)] * 20
+    found = existence_of(counts(list(passes), *standing), np.array([mapped] + [True] * 20))
     return float(found.now[0])
 
 
@@ -70,6 +74,31 @@ def test_an_element_is_new_once_several_passes_see_it() -> None:
     assert exists(MISSED, MISSED, (2, 10), MISSED, MISSED, mapped=False) < 0.5
 
 
+def test_time_between_passes_counts_where_it_is_known() -> None:
+    """Missed an hour after it was seen, an element is rather hidden than gone."""
+    day_s, missed = 86400.0, [SEEN, SEEN, SEEN, MISSED, MISSED]
+    rows = counts(missed, *[[SEEN] * 5] * 20)
+
+    def now(*days: float | None) -> float:
+        times = [None if day is None else day * day_s for day in days]
+        return float(existence_of(rows, np.full(21, True), change_between(times)).now[0])
+
+    month = now(0.0, 30.0, 60.0, 90.0, 120.0)
+    assert now(0.0, 0.1, 0.2, 0.3, 0.4) > month + 0.1
+    assert now(0.0, 30.0, 60.0, 1000.0, 1000.1) < month - 0.02
+    assert now(0.0, 30.0, None, 90.0, 120.0) == pytest.approx(month, abs=0.01)
+
+
+def test_a_place_that_changes_much_makes_each_change_likelier() -> None:
+    standing, gone = [SEEN] * 6, [SEEN] * 3 + [MISSED] * 3
+
+    def now(vanished: int) -> float:
+        rows = counts(*[standing] * (30 - vanished), *[gone] * vanished)
+        return float(existence_of(rows, np.full(30, True)).now[-1])
+
+    assert now(5) < now(1)
+
+
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)), min_size=1, max_size=6))
 def test_existence_is_that_of_all_possible_lives(passes: list[tuple[int, int]]) -> None:
@@ -77,7 +106,9 @@ def test_existence_is_that_of_all_possible_lives(passes: list[tuple[int, int]]) 
     from semviz_annotation.mapping.passes import existence
 
     rows = [(min(pair), max(pair)) for pair in passes]
-    found = existence_of(counts(rows), np.array([True]))
+    expected_rate = patch.multiple(existence, _FACTORS=(1.0,), _FACTOR_PRIOR=(1.0,))
+    with expected_rate:
+        found = existence_of(counts(rows), np.array([True]))
     p, change = len(rows), existence.CHANGE_PER_PASS
 
     def rated(seen: int, chances: int, rate: float) -> float:
@@ -170,7 +201,7 @@ def test_a_street_that_does_not_change_is_found_unchanged(world: ChangingStreet)
 def test_the_changed_map_is_that_of_the_changed_street(
     world: ChangingStreet, found: MapChanges, tmp_path: Path
 ) -> None:
-    changed = found.changed_map()
+    changed = changed_map(found, found.sure)
     save_map(changed, tmp_path / "next.parquet")
     diff = diff_maps(world.first_map, load_map(tmp_path / "next.parquet"))
     assert len(changed) == len(world.first_map)
@@ -184,10 +215,23 @@ def test_the_changed_map_is_that_of_the_changed_street(
 
 def test_a_kept_element_stays_as_it_is(world: ChangingStreet, found: MapChanges) -> None:
     (vanished,) = world.vanishes
-    kept = found.changed_map([world.first_map.name_of(vanished)])
+    kept = changed_map(found, found.sure - {world.first_map.name_of(vanished)})
     assert vanished in kept.elements.id.tolist()
     with pytest.raises(SemvizError, match="P-9999 is no change of this map"):
-        found.changed_map(["P-9999"])
+        changed_map(found, ["P-9999"])
+
+
+def test_attributes_go_with_what_vanished_and_stay_with_all_others(
+    world: ChangingStreet, found: MapChanges
+) -> None:
+    (vanished,), (moved,) = world.vanishes, world.moves
+    ids = world.first_map.elements.id.tolist()
+    standing = next(id_ for id_ in ids if id_ not in (vanished, moved))
+    told = {id_: {"lamp": "yes"} for id_ in (vanished, moved, standing)}
+    annotated = replace(found, semantic_map=replace(found.semantic_map, attributes=told))
+    changed = changed_map(annotated, found.sure)
+    assert changed.attributes == {id_: told[id_] for id_ in (moved, standing)}
+    assert changed_map(annotated, ()).attributes == told
 
 
 def test_one_pass_is_not_enough(world: ChangingStreet, passes: list[Pass]) -> None:

@@ -48,7 +48,13 @@ export const JUMPS = {
     summary: (frames) => frames.length,
     element: ({ disagreement }) => disagreement?.worst_id,
   },
+  asked: {
+    title: "Labels asked for", has: ({ asked }) => asked.length > 0,
+    summary: (frames) => (frames.length > 2 ? frames.length : frames.flatMap(({ asked }) => asked).join(", ")),
+  },
 };
+
+const SOMETIMES = ["sent back", "asked"]; // lists that are there only with frames
 
 /** The frames that a reviewer sent back, without those of another's range.
  *
@@ -98,12 +104,12 @@ export function jumpCommands(state, actions) {
   ];
 }
 
-/** The lists of frames; that of sent back ones only while there are some.
+/** The lists of frames; those of sent back ones and of labels asked for only while there are some.
  *
  * @param {State} state
  */
 function frameLists(state) {
-  return Object.keys(JUMPS).filter((name) => name !== "sent back" || state.jump === name || sentBackTo(state).length);
+  return Object.keys(JUMPS).filter((name) => !SOMETIMES.includes(name) || state.jump === name || jumpFrames(state, name).length);
 }
 
 /** The lists of the last map; that of tracks only if the map was built from detections.

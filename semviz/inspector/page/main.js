@@ -21,6 +21,7 @@ import { ImagePanel } from "./image.js";
 import { LabelEdits } from "./label_edits.js";
 import { MatrixPanel } from "./matrix.js";
 import { Neighbours } from "./neighbours.js";
+import { OverTime } from "./over_time/over_time.js";
 import { SelectedCard } from "./selected.js";
 import { SolverCard } from "./solver.js";
 import { SpacePanel } from "./space.js";
@@ -29,6 +30,7 @@ import { Story } from "./story.js";
 import { Tabs } from "./tabs.js";
 import { Timeline } from "./timeline.js";
 import { Viewpoints } from "./viewpoints.js";
+import { Views } from "./views.js";
 import { WhatIf } from "./what_if.js";
 import { WhyCard } from "./why.js";
 
@@ -60,6 +62,7 @@ export class Page {
     this.image = new ImagePanel(this, () => this.imagePainted());
     this.list = new FrameList(this);
     this.compare = new Compare(this);
+    this.views = new Views(this);
     this.left = new Tabs(byId("frames"), () => this.tabChanged());
     this.right = new Tabs(byId("why"), () => this.tabChanged());
     /** @type {Panel[]} */
@@ -84,10 +87,13 @@ export class Page {
       this.compare,
       ...this.compare.panels,
       new Story(this),
+      new OverTime(this),
+      this.views,
       new Exporter(this),
     ];
     this.address = new Address(this, [...this.ownAddress(), ...this.panels.flatMap((panel) => panel.address?.() ?? [])]);
-    this.keys = new Keys("inspect", this.commands());
+    this.keys = new Keys("inspect", this.views.ofFrame(this.commands()));
+    this.keys.enter = (view) => this.views.open(view === "over-time" ? view : "frame");
     this.keys.listen(window);
     this.subscribe();
   }

@@ -18,6 +18,7 @@
  * @property {(frame: FrameView) => void} [showFrame] another frame is shown
  * @property {(state: StateView) => void} [showState] the selection or the display settings changed
  * @property {() => void} [showTheme] the theme changed
+ * @property {(view: import("./views.js").View) => void} [showView] another view of the page is shown
  * @property {() => void} [showTabs] another tab is shown
  * @property {() => void} [showRefusal] the server refused a request
  * @property {(position: number) => void} [pointAt] the page goes to a frame that has not arrived

@@ -1,6 +1,5 @@
 // @ts-check
-/* The story of a run: how many frames are right, what explains the others, and where they are. Opens
- * first for long runs. */
+/* The story of a run: how many frames are right, what explains the others, and where they are. */
 
 import { byId, el, fill, fixed } from "/static/dom.js";
 import { statusMark } from "/static/glyphs.js";
@@ -10,28 +9,23 @@ import { StoryMap } from "./story_map.js";
 /** @typedef {import("/static/protocol").inspector.StoryCause} StoryCause */
 /** @typedef {import("/static/protocol").inspector.StoryEvent} StoryEvent */
 /** @typedef {import("/static/protocol").inspector.StoryView} StoryView */
-/** @typedef {import("/static/keys.js").Command} Command */
-/** @typedef {import("./panel.js").AddressPart} AddressPart */
 /** @typedef {import("./main.js").Page} Page */
+/** @typedef {import("./views.js").View} View */
 
-const LONG_RUN = 200; // frames; longer runs open with their story
 const LEADS_TO_FRAME = ".list .row, .fault, .decision";
 
 export class Story {
   /** @param {Page} page */
   constructor(page) {
     this.page = page;
-    this.isOpen = false;
     this.isRequested = false;
     this.run = ""; // the name of the open one
     /** @type {StoryView | null} */
     this.found = null;
     this.map = new StoryMap((position) => this.openFrame(position));
     page.socket.on("story", (event) => this.showStory(event));
-    byId("view-frame").addEventListener("click", () => this.show(false));
-    byId("view-story").addEventListener("click", () => this.show(true));
     byId("frames").addEventListener("click", ({ target }) => {
-      if (target instanceof Element && target.closest(LEADS_TO_FRAME)) this.show(false);
+      if (target instanceof Element && target.closest(LEADS_TO_FRAME)) page.views.open("frame");
       else this.mark(); // the list may show the frames of all causes now
     });
     byId("story-all").addEventListener("click", () => this.choose(null));
@@ -43,27 +37,8 @@ export class Story {
     return this.page.list.cause;
   }
 
-  /** @returns {Command[]} */
-  commands() {
-    return [
-      { key: "F2", group: "Page", title: "The frame: image, map, diagnosis", run: () => this.show(false) },
-      { key: "F3", group: "Page", title: "The story of the run: causes, and where it fails", run: () => this.show(true) },
-    ];
-  }
-
-  /** @returns {AddressPart[]} */
-  address() {
-    const name = () => (this.isOpen ? "story" : "frame");
-    return [{
-      fields: { show: { initial: null, accepts: (text) => text === "story" || text === "frame" } },
-      get: () => ({ show: this.isOpen === this.isFirst() ? null : name() }),
-      set: ({ show }) => this.show(show ? show === "story" : this.isFirst()),
-    }];
-  }
-
-  /** Whether the run opens with its story. */
-  isFirst() {
-    return this.page.store.run.frames.length > LONG_RUN;
+  get isOpen() {
+    return this.page.views.shown === "story";
   }
 
   /** @param {RunView} run */
@@ -71,34 +46,23 @@ export class Story {
     if (run.name !== this.run) {
       this.found = null;
       this.isRequested = false;
-      this.show(this.isFirst());
     }
     this.run = run.name;
   }
 
-  /** Opens the story, or the frame.
-   *
-   * @param {boolean} isOpen
-   */
-  show(isOpen) {
-    if (isOpen && this.page.compare.isOpen) this.page.compare.close();
-    this.isOpen = isOpen;
-    document.body.classList.toggle("telling", isOpen);
-    byId("story").hidden = !isOpen;
-    byId("view-story").setAttribute("aria-selected", String(isOpen));
-    byId("view-frame").setAttribute("aria-selected", String(!isOpen));
-    if (isOpen && !this.isRequested) {
+  /** @param {View} view */
+  showView(view) {
+    if (view === "story" && !this.isRequested) {
       this.isRequested = true;
       this.page.socket.send("get_story");
     }
     this.mark();
-    this.page.address.changed();
   }
 
   /** @param {number} position */
   openFrame(position) {
     this.page.go(position);
-    this.show(false);
+    this.page.views.open("frame");
   }
 
   /** @param {StoryEvent} event */

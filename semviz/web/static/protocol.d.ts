@@ -534,6 +534,7 @@ export interface FrameSummary {
   worst: WorstLabel | null;
   proposed: number | null;
   disagreement: Disagreement | null;
+  asked: Array<string>;
 }
 
 /** Show another frame. */
@@ -1535,10 +1536,40 @@ export interface BaseFrameView {
   right: Array<RightMapped> | null;
 }
 
+/** What somebody decided on a change, by its name. */
+export interface ChangeAnswer {
+  name: string;
+  answer: "make" | "keep" | "label" | "open";
+  author: string;
+  time: string;
+  label: string;
+}
+
+/** What is decided. ``note`` says where it is kept, or why nothing can be decided. */
+export interface ChangeAnswersEvent {
+  type: "change_answers";
+  reply_to: string | null;
+  answers: Array<ChangeAnswer>;
+  seen: number;
+  can_undo: boolean;
+  can_decide: boolean;
+  note: string;
+  next_map: string;
+}
+
 /** A frame that a sweep fixed or broke. */
 export interface ChangedFrame {
   index: number;
   change: "fixed" | "broken";
+}
+
+/** The changed map was written. */
+export interface ChangedMapEvent {
+  type: "changed_map";
+  reply_to: string | null;
+  name: string;
+  text: string;
+  diff: string;
 }
 
 /** Check conditions of ``semviz compare --fail-if``. */
@@ -1603,6 +1634,15 @@ export interface ComparisonView {
   more_changes: number;
   base_ids: Record<string, number>;
   command: string;
+}
+
+/** Decide on changes of the map, by their names. */
+export interface DecideChangesRequest {
+  type: "decide_changes";
+  id: string;
+  names: Array<string>;
+  answer: "make" | "keep" | "label" | "open";
+  seen: number;
 }
 
 /** An element of a decision; ``map_id`` is null if it is not in the map. */
@@ -1856,6 +1896,12 @@ export interface GetOriginsRequest {
   id: string;
 }
 
+/** Search the runs for changes of the open run's map. */
+export interface GetOverTimeRequest {
+  type: "get_over_time";
+  id: string;
+}
+
 /** Request the solver's stages for this frame. */
 export interface GetSolverRequest {
   type: "get_solver";
@@ -1878,6 +1924,14 @@ export interface GetViewpointRequest {
 export interface GetWhatIfOptionsRequest {
   type: "get_what_if_options";
   id: string;
+}
+
+/** Show the frame that shows a change best, before it or after, and select its element. */
+export interface GoToChangeRequest {
+  type: "go_to_change";
+  id: string;
+  name: string;
+  is_after: boolean;
 }
 
 /** Select the element of a decision in a frame that shows it. */
@@ -1936,6 +1990,12 @@ export interface LabelPageEvent {
   type: "label_page";
   reply_to: string | null;
   address: string;
+}
+
+/** A run that is no pass, and why. */
+export interface LeftOutRun {
+  run: string;
+  reason: string;
 }
 
 /** A difference between the maps, with the broken and fixed frames that have it in view. */
@@ -2068,6 +2128,13 @@ export interface ObservedView {
   truth: number | null;
 }
 
+/** Open the frame in which a label of a change is asked for. */
+export interface OpenAskedLabelRequest {
+  type: "open_asked_label";
+  id: string;
+  name: string;
+}
+
 /** Open the label of an element. Default: the element that the diagnosis names. */
 export interface OpenLabelRequest {
   type: "open_label";
@@ -2119,6 +2186,48 @@ export interface OtherPose {
   gap_nats: number | null;
 }
 
+/** A change of the map. Places are metres in the map frame. */
+export interface OverTimeChange {
+  name: string;
+  class_id: number;
+  seen: Array<number>;
+  chances: Array<number>;
+  probability: Array<number>;
+  kind: "vanished" | "new" | "moved" | "unsure";
+  element: number | null;
+  since: number | null;
+  existence: number;
+  place: [number, number];
+  was: [number, number] | null;
+  title: string;
+  story: string;
+  sentence: string;
+  facts: Array<EvidenceLine>;
+  near: Array<PassRow>;
+  before: PassShot | null;
+  after: PassShot | null;
+}
+
+/** The map over time; without ``found``, ``progress`` says how far the search is, or why there is no answer. */
+export interface OverTimeEvent {
+  type: "over_time";
+  reply_to: string | null;
+  progress: string;
+  is_over: boolean;
+  left_out: Array<LeftOutRun>;
+  found: OverTimeView | null;
+}
+
+/** What the passes say about the map. */
+export interface OverTimeView {
+  map: string;
+  elements: number;
+  passes: Array<PassView>;
+  changes: Array<OverTimeChange>;
+  standing: Array<StandingElement>;
+  route: Array<[number, number]>;
+}
+
 /** Rows of a detection and an element, and the residual vector from ``start`` (px). */
 export interface PairView {
   observed: number;
@@ -2127,6 +2236,33 @@ export interface PairView {
   residual_px: number | null;
   start: [number | null, number | null];
   vector: [number | null, number | null];
+}
+
+/** What each pass saw of an element: frames that detect it, of those with it in view. */
+export interface PassRow {
+  name: string;
+  class_id: number;
+  seen: Array<number>;
+  chances: Array<number>;
+  probability: Array<number>;
+}
+
+/** A frame that shows an element, or the place where it should be. */
+export interface PassShot {
+  run: string;
+  position: number;
+  frame: number;
+  date: string;
+  ends: Array<[number, number]>;
+  is_seen: boolean;
+}
+
+/** A run that counts as a pass; ``date`` is empty if it is not known. */
+export interface PassView {
+  run: string;
+  date: string;
+  frames: number;
+  sure: number;
 }
 
 /** An element in an image. */
@@ -2433,6 +2569,13 @@ export interface SolverEvent {
   shown: number | null;
 }
 
+/** An element of the map that has not changed. */
+export interface StandingElement {
+  name: string;
+  class_id: number;
+  place: [number, number];
+}
+
 /** The selection or the display settings changed. */
 export interface StateEvent {
   type: "state";
@@ -2569,6 +2712,13 @@ export interface UndoAnswerRequest {
   base?: EditBase | null;
 }
 
+/** Undo the last decision on changes that was made on this page. */
+export interface UndoChangeAnswerRequest {
+  type: "undo_change_answer";
+  id: string;
+  seen: number;
+}
+
 /** Undo the last label edit that was made here. */
 export interface UndoLabelEditRequest {
   type: "undo_label_edit";
@@ -2630,6 +2780,13 @@ export interface WhatIfResult {
   mapped: Array<MappedElement>;
 }
 
+/** Write the map after the decided changes as a new map of the workspace. */
+export interface WriteChangedMapRequest {
+  type: "write_changed_map";
+  id: string;
+  name: string;
+}
+
 /** The label operation that last changed a label element. */
 export interface WriterView {
   author: string;
@@ -2643,6 +2800,7 @@ export interface Requests {
   answer_decision: AnswerDecisionRequest;
   check_gates: CheckGatesRequest;
   compare_runs: CompareRunsRequest;
+  decide_changes: DecideChangesRequest;
   draw_frame: DrawFrameRequest;
   drop_what_if: DropWhatIfRequest;
   exclude_element: ExcludeElementRequest;
@@ -2652,16 +2810,19 @@ export interface Requests {
   get_elements: GetElementsRequest;
   get_label_edits: GetLabelEditsRequest;
   get_origins: GetOriginsRequest;
+  get_over_time: GetOverTimeRequest;
   get_solver: GetSolverRequest;
   get_story: GetStoryRequest;
   get_viewpoint: GetViewpointRequest;
   get_what_if_options: GetWhatIfOptionsRequest;
+  go_to_change: GoToChangeRequest;
   go_to_decision: GoToDecisionRequest;
   go_to_position: GoToPositionRequest;
   go_to_viewpoint: GoToViewpointRequest;
   keep_map: KeepMapRequest;
   keep_what_if: KeepWhatIfRequest;
   merge_duplicates: MergeDuplicatesRequest;
+  open_asked_label: OpenAskedLabelRequest;
   open_label: OpenLabelRequest;
   open_run: OpenRunRequest;
   rebuild_map: RebuildMapRequest;
@@ -2683,12 +2844,16 @@ export interface Requests {
   suggest_what_if: SuggestWhatIfRequest;
   sweep_what_if: SweepWhatIfRequest;
   undo_answer: UndoAnswerRequest;
+  undo_change_answer: UndoChangeAnswerRequest;
   undo_label_edit: UndoLabelEditRequest;
+  write_changed_map: WriteChangedMapRequest;
 }
 
 export interface Events {
   backdrop: BackdropEvent;
   base_frame: BaseFrameEvent;
+  change_answers: ChangeAnswersEvent;
+  changed_map: ChangedMapEvent;
   comparison: ComparisonEvent;
   decisions: DecisionsEvent;
   element_frames: ElementFramesEvent;
@@ -2704,6 +2869,7 @@ export interface Events {
   map_saved: MapSavedEvent;
   neighbours: NeighboursEvent;
   origins: OriginsEvent;
+  over_time: OverTimeEvent;
   right_image: RightImageEvent;
   run: RunEvent;
   runs: RunsEvent;

@@ -70,7 +70,8 @@ def _built(one: Pass, semantic_map: SemanticMap, labels: Labels) -> Elements3D:
     rows: list[Proposal] = []
     frames: list[Frame] = []
     center = semantic_map.triangle_center
-    for frame, result in one.sure:
+    for position in one.sure:
+        frame, result = one.frames[position], one.localizations[position]
         observed = result.observed[unexplained(result, semantic_map, one.detector)]
         rows += as_proposals(frame.index, "left", observed, result.camera, one.name, center)
         assert result.T_camera_map is not None
@@ -78,7 +79,7 @@ def _built(one: Pass, semantic_map: SemanticMap, labels: Labels) -> Elements3D:
     nothing = Labels(own_classes=labels.own_classes, triangle_center=center)
     images: frozenset[tuple[int, Side]] = frozenset((frame.index, "left") for frame in frames)
     detections = Proposals.of(rows, ProcessedImages(one.name, images=images))
-    source = _Posed(Rig(one.sure[0][1].camera), semantic_map.frame, tuple(frames))
+    source = _Posed(Rig(one.localizations[one.sure[0]].camera), semantic_map.frame, tuple(frames))
     linking = LinkOptions(BuildOptions().place, _pose_sigma_m(one))
     tracked = detection_labels(nothing, detections, source, linking)
     if not tracked.labels.elements:
@@ -91,10 +92,11 @@ def _built(one: Pass, semantic_map: SemanticMap, labels: Labels) -> Elements3D:
 
 def _pose_sigma_m(one: Pass) -> float:
     """Return the median error of the estimated camera centres, in each direction."""
-    covariances = [result.covariance for _, result in one.sure if result.covariance is not None]
-    if not covariances:
+    covariances = [one.localizations[position].covariance for position in one.sure]
+    known = [covariance for covariance in covariances if covariance is not None]
+    if not known:
         return _LEAST_POSE_SIGMA_M
-    sigma_m = np.sqrt([np.trace(covariance[:3, :3]) / 3.0 for covariance in covariances])
+    sigma_m = np.sqrt([np.trace(covariance[:3, :3]) / 3.0 for covariance in known])
     return max(float(np.median(sigma_m)), _LEAST_POSE_SIGMA_M)
 
 

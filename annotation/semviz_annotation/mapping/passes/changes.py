@@ -5,8 +5,9 @@ exists now is new, or one that vanished close by has moved there. What the passe
 in the map as it is; so does what none of them saw, which may be hidden from their way.
 """
 
+import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
@@ -14,20 +15,25 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from semviz_annotation.labels.labels import Labels
-from semviz_annotation.labels.rows import derived_id
 from semviz_annotation.mapping.association.tracks import OnProgress
 from semviz_annotation.mapping.passes.candidates import candidates
-from semviz_annotation.mapping.passes.evidence import Pass, counts_of
-from semviz_annotation.mapping.passes.existence import Existence, PassCounts, existence_of
+from semviz_annotation.mapping.passes.evidence import Evidence, Pass, evidence_of
+from semviz_annotation.mapping.passes.existence import (
+    Existence,
+    PassCounts,
+    change_between,
+    existence_of,
+)
 from semviz_core.base.elements import Elements3D, joined
-from semviz_core.base.semantic_map import Decision, Provenance, SemanticMap, footprint_m
-from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.base.semantic_map import SemanticMap, footprint_m
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 
 ChangeKind = Literal["vanished", "new", "moved", "unsure"]
 KINDS: tuple[ChangeKind, ...] = ("vanished", "new", "moved", "unsure")
 GONE, SURE, LIKELY = 0.05, 0.95, 0.5
-"""Probabilities of existence: an element is gone below, one is new above; unsure in between."""
+"""Probabilities of existence: an element is gone below ``GONE``, and unsure up to ``LIKELY``. A new
+one is real with ``SURE``, and now there with ``LIKELY``."""
 MOVED_M = 3.0
 """An element that vanished and a new one of its class are one that moved, up to this distance."""
 
@@ -50,8 +56,39 @@ class Change:
     """Frames of each pass in which it would be in view."""
     place_m: tuple[float, float, float]
     """Footprint, or a sign's centre; of one that moved, where it is now."""
-    moved_m: float | None = None
-    """Distance between the two places of one that moved."""
+    probability: tuple[float, ...]
+    """That it exists in each pass, by all of them; of one that moved, at either place."""
+    element_id: int | None
+    """In the map; None for a new one."""
+    row: int
+    """In ``MapChanges.whole``: of a new or moved element, the candidate that it is now."""
+    was_m: tuple[float, float, float] | None = None
+    """Where one that moved was."""
+
+    @property
+    def moved_m(self) -> float | None:
+        """Distance between the two places of one that moved."""
+        return None if self.was_m is None else math.dist(self.place_m, self.was_m)
+
+    @property
+    def story(self) -> str:
+        """What the passes say, in a few words."""
+        match self.kind:
+            case "vanished":
+                return f"not seen from {self.since} on"
+            case "new":
+                return f"{self.class_name}, seen from {self.since} on"
+            case "moved":
+                return f"moved {self.moved_m:.1f} m before {self.since}"
+            case _:
+                met = sum(1 for chances in self.chances if chances)
+                return f"seen by {sum(1 for seen in self.seen if seen)} of {met} passes"
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        values = asdict(self)
+        del values["row"]
+        return values | {"moved_m": self.moved_m}
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +99,12 @@ class MapChanges:
     passes: tuple[str, ...]
     changes: tuple[Change, ...]
     """Vanished, new, moved, unsure; the surest first."""
-    candidates: Elements3D
-    replaced: dict[str, int]
-    """Of each new or moved element, by name, the row of the candidate that it is now."""
+    whole: Elements3D
+    """The elements of the map, then the candidates for new ones."""
+    evidence: Evidence
+    """Of ``whole``."""
+    existence: Existence
+    """Of ``whole``."""
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -73,7 +113,7 @@ class MapChanges:
             "passes": list(self.passes),
             "elements": len(self.semantic_map),
             **{kind: counts[kind] for kind in KINDS},
-            "changes": [asdict(change) for change in self.changes],
+            "changes": [change.as_dict() for change in self.changes],
         }
 
     def as_text(self) -> str:
@@ -86,66 +126,15 @@ class MapChanges:
         return "\n".join([f"{head}: {told}", *self._lines()])
 
     def _lines(self) -> Iterator[str]:
-        width = max(len(_story(change)) for change in self.changes)
+        width = max(len(change.story) for change in self.changes)
         for change in self.changes:
             cells = " ".join(map(_cell, change.seen, change.chances))
-            yield f"{change.name:<7} {_story(change):<{width}} {change.existence:5.2f}  {cells}"
+            yield f"{change.name:<7} {change.story:<{width}} {change.existence:5.2f}  {cells}"
 
-    def changed_map(self, keep: Collection[str] = ()) -> SemanticMap:
-        """Return the map without what vanished, with what is new, and with what moved in its new
-        place; ``keep`` names changes that are not to be made. Raise SemvizError if one is unknown.
-        """
-        names = {change.name for change in self.changes}
-        if unknown := sorted(set(keep) - names):
-            raise SemvizError(f"{unknown[0]} is no change of this map; leave it out of --keep")
-        made = [change for change in self.changes if change.name not in keep]
-        elements, provenance = self._without([each for each in made if each.kind == "vanished"])
-        for change in made:
-            if change.kind in ("new", "moved"):
-                elements, provenance = self._with(elements, provenance, change)
-        base = self.semantic_map
-        return replace(
-            base,
-            elements=elements,
-            provenance=tuple(provenance),
-            decisions=(*base.decisions, *self._decisions(made)),
-            made_by=f"{base.made_by}; changed by {len(self.passes)} passes".removeprefix("; "),
-            settings={},
-        )
-
-    def _without(self, vanished: Sequence[Change]) -> tuple[Elements3D, list[Provenance]]:
-        base = self.semantic_map
-        gone = [self._id_of[change.name] for change in vanished]
-        stays = np.flatnonzero(~np.isin(base.elements.id, gone))
-        origin = base.provenance or (Provenance(),) * len(base)
-        return base.elements[stays], [origin[row] for row in stays.tolist()]
-
-    def _with(
-        self, elements: Elements3D, provenance: list[Provenance], change: Change
-    ) -> tuple[Elements3D, list[Provenance]]:
-        one = self.candidates[[self.replaced[change.name]]]
-        if change.kind == "new":
-            source = Provenance((derived_id(f"{change.name} of {self.passes}"),), (), 9.0)
-            return joined(elements, one), [*provenance, source]
-        row = int(np.flatnonzero(elements.id == self._id_of[change.name])[0])
-        others = np.delete(np.arange(len(elements)), row)
-        moved = joined(elements[others], replace(one, id=elements.id[[row]]))
-        back = np.argsort(np.append(others, row), kind="stable")
-        return moved[back], provenance
-
-    @cached_property
-    def _id_of(self) -> dict[str, int]:
-        """The ids of the elements of the map, by name."""
-        base = self.semantic_map
-        return {base.name_of(id_): id_ for id_ in base.elements.id.tolist()}
-
-    def _decisions(self, made: Sequence[Change]) -> Iterator[Decision]:
-        for change in made:
-            if change.kind == "vanished":
-                yield Decision(
-                    "leave out", (), (), "machine", f"{change.name} {_story(change)}",
-                    {"existence": change.existence},
-                )  # fmt: skip
+    @property
+    def sure(self) -> frozenset[str]:
+        """Names of the changes that are not unsure."""
+        return frozenset(change.name for change in self.changes if change.kind != "unsure")
 
 
 def find_changes(
@@ -166,10 +155,31 @@ def find_changes(
         )
     extra = candidates(passes, semantic_map, labels, on_progress)
     whole = joined(semantic_map.elements, extra)
-    counts = counts_of(passes, replace(semantic_map, elements=whole, provenance=(), attributes={}))
-    found = existence_of(counts, np.arange(len(whole)) < len(semantic_map))
+    both = replace(semantic_map, elements=whole, provenance=(), attributes={})
+    evidence = evidence_of(passes, both)
+    is_mapped = np.arange(len(whole)) < len(semantic_map)
+    change = change_between([one.start_s for one in passes])
+    found = existence_of(evidence.counts, is_mapped, change)
+    replaced = _replaced(whole, is_mapped, found)
+    found = existence_of(evidence.counts, is_mapped, change, replaced)
     names = tuple(one.name for one in passes)
-    return _named(semantic_map, whole, counts, found, names)
+    return _named(semantic_map, whole, evidence, found, names)
+
+
+def _replaced(whole: Elements3D, is_mapped: BoolArray, found: Existence) -> IntArray:
+    """Return the pass (n,) in which a new element of its class appeared beside each; or -1."""
+    replaced, place_m = np.full(len(whole), -1), footprint_m(whole)
+    for new in np.flatnonzero(_is_new(found) & ~is_mapped & (found.first > 0)):
+        near = np.linalg.norm(place_m - place_m[new], axis=1) <= MOVED_M
+        near &= is_mapped & (whole.class_id == whole.class_id[new])
+        replaced[near] = found.first[new]
+    return replaced
+
+
+def _is_new(found: Existence) -> BoolArray:
+    """Return which candidates are elements that the map lacks: real, and rather not gone again. One
+    that is hidden in the last pass is real all the same."""
+    return np.asarray((found.ever > SURE) & (found.now > LIKELY))
 
 
 class _Moved(NamedTuple):
@@ -181,17 +191,17 @@ class _Moved(NamedTuple):
 def _named(
     semantic_map: SemanticMap,
     whole: Elements3D,
-    counts: PassCounts,
+    evidence: Evidence,
     found: Existence,
     passes: tuple[str, ...],
 ) -> MapChanges:
     """Name what changed; ``whole`` are the elements of the map, then the candidates."""
-    n, now = len(semantic_map), found.now
+    n, now, counts = len(semantic_map), found.now, evidence.counts
     met, seen = counts.chances[:n].any(axis=1), counts.seen[:n].any(axis=1)
     is_gone = (now[:n] < GONE) & seen
     vanished = np.flatnonzero(is_gone)
     doubtful = np.flatnonzero((now[:n] < LIKELY) & met & ~is_gone)
-    appeared = n + np.flatnonzero(now[n:] > SURE)
+    appeared = n + np.flatnonzero(_is_new(found)[n:])
     moved = _moved(whole, vanished, appeared)
     taken = {pair.new for pair in moved.values()}
     new = [row for row in appeared.tolist() if row not in taken]
@@ -203,9 +213,7 @@ def _named(
         *(describe.change("unsure", row) for row in doubtful.tolist()),
     ]
     order = sorted(changes, key=lambda each: (KINDS.index(each.kind), _doubt(each), each.name))
-    replaced = {f"n-{number:02d}": row - n for number, row in enumerate(new, 1)}
-    replaced |= {describe.name(row): pair.new - n for row, pair in moved.items()}
-    return MapChanges(semantic_map, passes, tuple(order), whole[n:], replaced)
+    return MapChanges(semantic_map, passes, tuple(order), whole, evidence, found)
 
 
 def _doubt(change: Change) -> float:
@@ -255,6 +263,9 @@ class _Describer:
             tuple(self.counts.seen[row].tolist()),
             tuple(self.counts.chances[row].tolist()),
             _place(self.place_m[row]),
+            _rounded(self.found.probability[row]),
+            None if kind == "new" else int(self.whole.id[row]),
+            row,
         )
 
     def moved(self, row: int, pair: _Moved) -> Change:
@@ -270,7 +281,9 @@ class _Describer:
             seen=tuple(seen.tolist()),
             chances=tuple(np.maximum(seen, chances).tolist()),
             place_m=_place(self.place_m[pair.new]),
-            moved_m=pair.distance_m,
+            probability=_rounded(self.found.probability[[row, pair.new]].max(axis=0)),
+            row=pair.new,
+            was_m=before.place_m,
         )
 
     @cached_property
@@ -278,22 +291,13 @@ class _Describer:
         return footprint_m(self.whole)
 
 
+def _rounded(probability: FloatArray) -> tuple[float, ...]:
+    return tuple(probability.round(4).tolist())
+
+
 def _place(place_m: FloatArray) -> tuple[float, float, float]:
     x, y, z = place_m.tolist()
     return x, y, z
-
-
-def _story(change: Change) -> str:
-    match change.kind:
-        case "vanished":
-            return f"not seen from {change.since} on"
-        case "new":
-            return f"{change.class_name}, seen from {change.since} on"
-        case "moved":
-            return f"moved {change.moved_m:.1f} m before {change.since}"
-        case _:
-            met = sum(1 for chances in change.chances if chances)
-            return f"seen by {sum(1 for seen in change.seen if seen)} of {met} passes"
 
 
 def _cell(seen: int, chances: int) -> str:

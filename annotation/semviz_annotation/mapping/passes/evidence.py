@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,18 +27,30 @@ class Pass:
     localizations: tuple[Localization, ...]
     """One for each frame."""
     detector: DetectorModel
+    start_s: float | None = None
+    """When it began, seconds since 1970; None: not known."""
 
     @cached_property
-    def sure(self) -> list[tuple[Frame, Localization]]:
-        """The frames whose estimated pose is sure; no true pose is used."""
+    def sure(self) -> list[int]:
+        """The positions of frames whose estimated pose is sure; no true pose is used."""
         return [
-            (frame, result)
-            for frame, result in zip(self.frames, self.localizations, strict=True)
+            position
+            for position, result in enumerate(self.localizations)
             if result.status == "ok" and result.T_camera_map is not None
         ]
 
 
-def counts_of(passes: Sequence[Pass], semantic_map: SemanticMap) -> PassCounts:
+class Evidence(NamedTuple):
+    """What p passes saw of n elements, and where."""
+
+    counts: PassCounts
+    nearest_seen: IntArray
+    """(n, p) position of the nearest frame of the pass that detects it; -1: none does."""
+    nearest_missed: IntArray
+    """(n, p) position of the nearest frame that has it in view without detecting it; or -1."""
+
+
+def evidence_of(passes: Sequence[Pass], semantic_map: SemanticMap) -> Evidence:
     """Return what the passes saw of the elements of the map (n).
 
     Detections that are expected follow from each detector's rates, scaled to how often the pass
@@ -47,21 +60,38 @@ def counts_of(passes: Sequence[Pass], semantic_map: SemanticMap) -> PassCounts:
     row_of = {int(id_): row for row, id_ in enumerate(semantic_map.elements.id)}
     chances, seen = np.zeros((n, p), np.int64), np.zeros((n, p), np.int64)
     expected = np.zeros((n, p))
+    nearest = _Nearest((n, p)), _Nearest((n, p))
     for column, one in enumerate(passes):
-        for _, result in one.sure:
-            case = FrameReference.of(result, semantic_map, None, one.detector)
+        for position in one.sure:
+            case = FrameReference.of(one.localizations[position], semantic_map, None, one.detector)
             rows = np.array([row_of[int(id_)] for id_ in case.nearby.id], np.int64)
             detected = np.zeros(len(rows), np.bool_)
             detected[case.same_class[:, 1]] = True
-            shown = case.in_view | detected
+            shown, away_m = case.in_view | detected, _away_m(case)
             chances[rows, column] += shown
             seen[rows, column] += detected
-            expected[rows, column] += np.where(shown, _recall(case, one.detector), 0.0)
+            expected[rows, column] += np.where(shown, _recall(away_m, one.detector), 0.0)
+            for kept, of in zip(nearest, (detected, shown & ~detected), strict=True):
+                kept.add(rows[of], column, away_m[of], position)
         met = seen[:, column] > 0
         if met.any():
             scale = seen[met, column].sum() / expected[met, column].sum()
             expected[:, column] *= np.clip(scale, *_SCALE_RANGE)
-    return PassCounts(chances, expected, seen)
+    return Evidence(PassCounts(chances, expected, seen), *(kept.position for kept in nearest))
+
+
+class _Nearest:
+    """The nearest frames of elements in passes."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self._away_m = np.full(shape, np.inf)
+        self.position = np.full(shape, -1)
+
+    def add(self, rows: IntArray, column: int, away_m: FloatArray, position: int) -> None:
+        """Add a frame of the pass ``column`` that is ``away_m`` (k,) from the elements ``rows``."""
+        nearer = away_m < self._away_m[rows, column]
+        self._away_m[rows[nearer], column] = away_m[nearer]
+        self.position[rows[nearer], column] = position
 
 
 def unexplained(result: Localization, semantic_map: SemanticMap, model: DetectorModel) -> IntArray:
@@ -70,9 +100,12 @@ def unexplained(result: Localization, semantic_map: SemanticMap, model: Detector
     return np.setdiff1d(np.arange(len(result.observed)), case.same_class[:, 0])
 
 
-def _recall(case: FrameReference, model: DetectorModel) -> FloatArray:
-    """Return the recall (n,) of the nearby elements at their distances."""
+def _away_m(case: FrameReference) -> FloatArray:
+    """Return the distances (n,) of the nearby elements."""
     assert case.reference is not None
-    away_m = np.linalg.norm(case.reference.apply(case.nearby.anchor_m), axis=1)
+    return np.asarray(np.linalg.norm(case.reference.apply(case.nearby.anchor_m), axis=1))
+
+
+def _recall(away_m: FloatArray, model: DetectorModel) -> FloatArray:
     recall = (model.recall_near, model.recall_far)
     return np.asarray(np.interp(away_m, (model.near_m, model.far_m), recall))

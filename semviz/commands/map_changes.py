@@ -1,0 +1,126 @@
+"""The command map changes."""
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional, UseAppendAction
+
+from semviz.commands import parsing
+from semviz_core.common.errors import SemvizError
+
+if TYPE_CHECKING:
+    from semviz.workspace.map_decisions import ChangeDecisions
+    from semviz.workspace.workspace import Workspace
+    from semviz_annotation.mapping.passes.changes import MapChanges
+    from semviz_annotation.mapping.passes.evidence import Pass
+    from semviz_core.base.semantic_map import SemanticMap
+
+
+@dataclass(frozen=True)
+class MapChangesCommand:
+    """Tell what changed since a map was made, from runs of several passes: elements that vanished,
+    appeared or moved. Nothing is written without --write.
+
+    Example: 'semviz map changes town may.rrd june.rrd july.rrd --write next --keep P-04'."""
+
+    workspace: Positional[Path]
+    """Folder of the workspace with the map."""
+    runs: Positional[tuple[Path, ...]]
+    """Runs of two or more passes, localized in the map, oldest first; with dates, in any order."""
+    map: str = "main"
+    """Name of the map."""
+    write: parsing.OptionalText = None
+    """Also write the changed map, under this name in the workspace. Decisions of 'semviz serve'
+    apply; what is open and sure is changed."""
+    keep: UseAppendAction[tuple[str, ...]] = ()
+    """With --write: a change that is not to be made, by its name; one option for each. Stored as a
+    decision."""
+    replace: bool = False
+    """Replace an existing map of this name."""
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+    def run(self) -> int:
+        from semviz.presentation.terminal import Steps, announce_compiling
+        from semviz.workspace.map_decisions import decisions_path, read_decisions
+        from semviz_annotation.mapping.passes.changed_map import changed_map
+        from semviz_annotation.mapping.passes.changes import find_changes
+        from semviz_core.base.map_file import save_map
+
+        if self.keep and self.write is None:
+            raise SemvizError("--keep is for --write; add that, or leave it out")
+        workspace = parsing.open_workspace(self.workspace)
+        semantic_map, path = workspace.read_map(self.map), self._path(workspace)
+        announce_compiling("the search for tracks")
+        with Steps() as steps:
+            passes = _passes(self.runs, semantic_map)
+            found = find_changes(passes, semantic_map, workspace.read_labels(), steps.show)
+        decisions = read_decisions(decisions_path(workspace))
+        changed = None
+        if path is not None:
+            decisions = self._decide(workspace, found)
+            changed = changed_map(found, decisions.made(found))
+            save_map(changed, path)
+        if self.json:
+            said = found.as_dict() | ({} if path is None else {"map": str(path)})
+            for change, told in zip(found.changes, said["changes"], strict=True):
+                decision = decisions.on(change, semantic_map.digest)
+                told["answer"] = "open" if decision is None else decision.answer
+            print(json.dumps(said))
+            return 0
+        print(found.as_text())
+        for line in _decision_lines(found, decisions):
+            print(line)
+        if changed is not None:
+            print(f"{path}: {len(changed)} elements")
+        return 0
+
+    def _path(self, workspace: "Workspace") -> Path | None:
+        """Return the file of the map to write, if one is wanted."""
+        from semviz.workspace.outputs import PARQUET, check_outputs
+
+        if self.write is None:
+            return None
+        path = workspace.map_path(self.write)
+        if path.exists() and not self.replace:
+            raise SemvizError(f"{path}: exists already; choose another name or use --replace")
+        check_outputs(path, PARQUET, can_force=False, purpose="map")
+        return path
+
+    def _decide(self, workspace: "Workspace", found: "MapChanges") -> "ChangeDecisions":
+        """Store what is kept, and that what is open and sure is changed."""
+        from semviz.workspace.map_decisions import Answer, decide, decisions_path, read_decisions
+        from semviz.workspace.settings import login_name
+
+        path, digest = decisions_path(workspace), found.semantic_map.digest
+        before = read_decisions(path)
+        answers: dict[str, Answer] = {
+            change.name: "make"
+            for change in found.changes
+            if change.name in found.sure and before.on(change, digest) is None
+        }
+        answers |= dict.fromkeys(self.keep, "keep")
+        rows = [(name, answer, None) for name, answer in answers.items()]
+        return decide(path, found, rows, login_name())
+
+
+def _passes(paths: Iterable[Path], semantic_map: "SemanticMap") -> "list[Pass]":
+    from semviz.runs.reader import load_run
+    from semviz.workspace.passes import check_drives, in_time, pass_of
+
+    passes = [pass_of(path.stem, load_run(path), semantic_map.frame) for path in paths]
+    check_drives(passes)
+    return in_time(passes)
+
+
+def _decision_lines(found: "MapChanges", decisions: "ChangeDecisions") -> Iterator[str]:
+    from semviz.workspace.map_decisions import answer_word
+
+    for change in found.changes:
+        decision = decisions.on(change, found.semantic_map.digest)
+        if decision is not None:
+            word = answer_word(change.kind, decision.answer)
+            yield f"decided: {change.name} {word}, by {decision.author} on {decision.time[:10]}"
