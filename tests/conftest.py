@@ -78,8 +78,8 @@ def pytest_collection_finish() -> None:
 def pytest_cmdline_main(config: pytest.Config) -> None:
     """Let plain ``pytest`` use all cores; who names tests gets no workers.
 
-    There are two more than cores: tests of pages wait a third of their time. A worker runs this hook
-    as well, with no number of processes, and must start none.
+    There are two more than cores: tests of pages wait a third of their time. A worker runs this
+    hook as well, with no number of processes, and must start none.
     """
     whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS and not IS_WORKER
     asked = getattr(config.option, "numprocesses", 0) is not None or config.option.usepdb
