@@ -28,6 +28,7 @@ _OWN: Final = {
     "backdrop": (re.compile(r"backdrop\.safetensors"), "backdrop.safetensors"),
     "motions": (re.compile(r"image_motions\.safetensors"), "image_motions.safetensors"),
     "choices": (re.compile(r"pose_choices\.json"), "pose_choices.json"),
+    "decisions": (re.compile(r"map_decisions\.json"), "map_decisions.json"),
     "calibration": (re.compile(r"detector\.calibration\.toml"), "detector.calibration.toml"),
     "people": (re.compile(r"people\.json"), "people.json"),
     "blind": (re.compile(r"blind(/.*)?"), "blind/**/*"),
