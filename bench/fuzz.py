@@ -34,7 +34,7 @@ NAMES = (
     "model", "weights", "backdrop", "card", "motions", "detector-calibration", "segmentation",
     "mask", "pole-map", "camera-toml", "camera-yaml", "drive-poses", "drive-times", "colmap",
     "nerfstudio", "drive-file", "boxes", "box-file", "recording", "bag",
-    "measured", "pose-choices", "matches",
+    "measured", "pose-choices", "map-decisions", "matches",
 )  # fmt: skip
 WORDS = (
     "polyline", "points", "box", "track", "image", "outside", "occluded", "group_id", "element",
@@ -56,6 +56,7 @@ INSTRUMENTED = [
     "semviz_core.datasets", "semviz.runs.codec",
     "semviz_core.detection.model_config", "semviz.runs.reader",
     "semviz.workspace.settings", "semviz.workspace.pose_choices", "semviz.workspace.drive_file",
+    "semviz.workspace.map_decisions", "semviz.workspace.checked_file",
     "semviz.workspace.foreign_results", "semviz_core.research.evaluation",
     "semviz_core.research.training.annotated_images",
     "semviz_core.pose_checks.image_motions", "yaml", "rosbags",

@@ -25,6 +25,7 @@ from map_files import small_map
 from semviz.runs import reader, run
 from semviz.runs.writer import RunWriter
 from semviz.workspace.drive_file import CameraEntry, DriveFile, FrameEntry
+from semviz.workspace.map_decisions import ChangeDecision, ChangeDecisions, LabelPlace
 from semviz.workspace.pose_choices import PoseChoices, PoseOperation, RefinedPose
 from semviz_annotation.label_formats.exchange import export_labels
 from semviz_annotation.labels.edits import AddObservation
@@ -299,6 +300,13 @@ def _write_drives() -> None:
     )
     choices = PoseChoices(standing=1, operations=(operation,))
     _write("pose-choices", "small.json", choices.model_dump_json()[1:])
+    decision = ChangeDecision(
+        map="0", kind="vanished", name="P-01", class_name="pole", place_m=(0, 1, 2), answer="label",
+        existence=0.5, passes=("may",), author="me", time="",
+        label=LabelPlace(workspace=".", run="may", frame=1),
+    )  # fmt: skip
+    decisions = ChangeDecisions(decisions=(decision,))
+    _write("map-decisions", "small.json", decisions.model_dump_json()[1:])
     with tempfile.TemporaryDirectory() as name:
         work = Path(name)
         for write in (tum, kitti, euroc):

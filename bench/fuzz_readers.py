@@ -20,7 +20,7 @@ from map_files import small_map
 
 from semviz.runs import reader as run_reader
 from semviz.runs import run
-from semviz.workspace import foreign_results, pose_choices, settings
+from semviz.workspace import foreign_results, map_decisions, pose_choices, settings
 from semviz_annotation.label_formats.coco import read_coco
 from semviz_annotation.label_formats.cvat import read_cvat
 from semviz_annotation.label_formats.import_context import LabelImportContext
@@ -251,10 +251,18 @@ def _matches(path: Path) -> None:
     )
 
 
-def _pose_choices(path: Path) -> None:
-    """The checksum is right."""
+def _with_checksum(path: Path) -> None:
     content = path.read_bytes()
     path.write_bytes(b'{"crc32":%d,' % zlib.crc32(content) + content)
+
+
+def _map_decisions(path: Path) -> None:
+    _with_checksum(path)
+    map_decisions.read_decisions(path).labels_here()
+
+
+def _pose_choices(path: Path) -> None:
+    _with_checksum(path)
     frames = [Frame(index, 0.1 * index, Pose.identity()) for index in range(3)]
     choices = pose_choices.read_choices(path)
     choices.applied(frames)
@@ -300,4 +308,5 @@ READERS: Mapping[str, Reader] = {
     "measured": Reader("input.csv", drive.measured),
     "matches": Reader("input", _matches),
     "pose-choices": Reader("pose_choices.json", _pose_choices),
+    "map-decisions": Reader("map_decisions.json", _map_decisions),
 }
