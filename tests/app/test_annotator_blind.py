@@ -408,7 +408,7 @@ def test_two_versions_of_a_frame_stand_side_by_side(
         eva.evaluate("semviz.team.show()")
         assert eva.evaluate(f"{rows}.length") < 200
     eva.evaluate("semviz.team.list.box.scrollTop = 1e9")
-    eva.wait_for_function(f"() => [...{rows}].at(-1).innerText.startsWith('4999')")
+    eva.wait_for_function(f"() => [...{rows}].at(-1)?.innerText.startsWith('4999')")
 
 
 LONG_QUEUE = """(count) => {
