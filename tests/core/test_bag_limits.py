@@ -79,3 +79,14 @@ def test_pipes_and_databases_of_endless_queries_are_refused(tmp_path: Path) -> N
     opened.close()
     with pytest.raises(SemvizError, match="a view or trigger"):
         read(path)
+
+
+def test_a_schema_that_is_no_text_is_a_damaged_bag(tmp_path: Path) -> None:
+    path = small(tmp_path, "ROS 2")
+    (database,) = path.glob("*.db3")
+    data = database.read_bytes()
+    assert b"CREATE INDEX" in data
+    database.write_bytes(data.replace(b"CREATE INDEX", b"CRE\xbf\xbf\xbf\xbf\xbfDEX"))
+    with pytest.raises(SemvizError, match="a damaged bag") as refusal:
+        read(path)
+    assert "\n" not in str(refusal.value)

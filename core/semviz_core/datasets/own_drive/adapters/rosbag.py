@@ -16,7 +16,7 @@ import sqlite3
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from errno import EINVAL
 from pathlib import Path
@@ -131,16 +131,16 @@ def _check_unpacked(file: Path) -> None:
 
 def _check_tables(file: Path) -> None:
     """Raise SemvizError if a database has a view or trigger: a query of them may never end."""
+    uri = f"{file.absolute().as_uri()}?mode=ro&immutable=1"
     try:
-        with sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro&immutable=1", uri=True) as opened:
-            rows = opened.execute(
-                "SELECT name FROM sqlite_master WHERE type IN ('view', 'trigger')"
+        with closing(sqlite3.connect(uri, uri=True)) as opened:
+            (count,) = opened.execute(
+                "SELECT count(*) FROM sqlite_master WHERE type IN ('view', 'trigger')"
                 " OR sql LIKE 'create virtual%'"
-            ).fetchall()
-        opened.close()
-    except sqlite3.Error:
+            ).fetchone()
+    except (sqlite3.Error, UnicodeDecodeError):  # the latter: of its schema, or of an error's text
         return  # rosbags says what is wrong with it
-    if rows:
+    if count:
         raise SemvizError(f"{file}: a database with a view or trigger, which no bag has; not read")
 
 
