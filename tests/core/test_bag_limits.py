@@ -86,7 +86,7 @@ def test_a_schema_that_is_no_text_is_a_damaged_bag(tmp_path: Path) -> None:
     (database,) = path.glob("*.db3")
     data = database.read_bytes()
     assert b"CREATE INDEX" in data
-    database.write_bytes(data.replace(b"CREATE INDEX", b"CRE\xbf\xbf\xbf\xbf\xbfDEX"))
+    database.write_bytes(data.replace(b"CREATE INDEX", b"CRE\xbf\xbf\xbf\xbf\xbf\xbfDEX"))
     with pytest.raises(SemvizError, match="a damaged bag") as refusal:
         read(path)
     assert "\n" not in str(refusal.value)
