@@ -84,7 +84,7 @@ class PoseUndo:
         None: ``edit`` is another edit, or the next step is one of labels.
         """
         is_step = isinstance(edit, messages.UndoEdit | messages.RedoEdit)
-        if not is_step or getattr(edit, "request", None) is not None:
+        if not is_step or (isinstance(edit, messages.UndoEdit) and edit.request is not None):
             self._undone_last = False
             return None
         if request_id in self._texts:

@@ -61,7 +61,7 @@ class MapChangesCommand:
         decisions = read_decisions(decisions_path(workspace))
         changed = None
         if path is not None:
-            decisions = self._decide(workspace, found)
+            decisions = self._decide(workspace, found, decisions)
             changed = changed_map(found, decisions.made(found))
             save_map(changed, path)
         if self.json:
@@ -90,13 +90,14 @@ class MapChangesCommand:
         check_outputs(path, PARQUET, can_force=False, purpose="map")
         return path
 
-    def _decide(self, workspace: "Workspace", found: "MapChanges") -> "ChangeDecisions":
+    def _decide(
+        self, workspace: "Workspace", found: "MapChanges", before: "ChangeDecisions"
+    ) -> "ChangeDecisions":
         """Store what is kept, and that what is open and sure is changed."""
-        from semviz.workspace.map_decisions import Answer, decide, decisions_path, read_decisions
+        from semviz.workspace.map_decisions import Answer, decide, decisions_path
         from semviz.workspace.settings import login_name
 
-        path, digest = decisions_path(workspace), found.semantic_map.digest
-        before = read_decisions(path)
+        digest = found.semantic_map.digest
         answers: dict[str, Answer] = {
             change.name: "make"
             for change in found.changes
@@ -104,15 +105,17 @@ class MapChangesCommand:
         }
         answers |= dict.fromkeys(self.keep, "keep")
         rows = [(name, answer, None) for name, answer in answers.items()]
-        return decide(path, found, rows, login_name())
+        return decide(decisions_path(workspace), found, rows, login_name())
 
 
 def _passes(paths: Iterable[Path], semantic_map: "SemanticMap") -> "list[Pass]":
     from semviz.runs.reader import load_run
-    from semviz.workspace.passes import check_drives, in_time, pass_of
+    from semviz.workspace.passes import check_drive, in_time, pass_of
 
     passes = [pass_of(path.stem, load_run(path), semantic_map.frame) for path in paths]
-    check_drives(passes)
+    drives: dict[bytes, str] = {}
+    for one in passes:
+        check_drive(one, drives)
     return in_time(passes)
 
 

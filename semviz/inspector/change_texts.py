@@ -37,7 +37,7 @@ def change_sentence(found: MapChanges, change: Change) -> str:
             return f"{saw}. Before that, {missed}." if missed else f"{saw}."
         case "moved":
             since = found.passes.index(change.since)
-            old = counts.seen[_row_in_map(found, change)]
+            old = counts.seen[found.row_in_map(change)]
             new = counts.seen[change.row]
             before = _passes(old[:since], "saw it where the map has it", old[:since])
             after = _passes(new[since:], f"see it {change.moved_m:.1f} m away", new[since:])
@@ -89,11 +89,6 @@ def near_rows(found: MapChanges, change: Change) -> list[int]:
     away_m[~found.evidence.counts.chances.any(axis=1)] = np.inf
     order = np.argsort(away_m, kind="stable")[:MOST_NEAR]
     return [int(row) for row in order if away_m[row] <= NEAR_M]
-
-
-def _row_in_map(found: MapChanges, change: Change) -> int:
-    ids = found.semantic_map.elements.id
-    return int(np.flatnonzero(ids == change.element_id)[0])
 
 
 def _passes(seen: IntArray, what: str, frames: IntArray) -> str:

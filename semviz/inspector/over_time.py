@@ -26,7 +26,7 @@ from semviz.inspector.views_over_time import (
     StandingElement,
 )
 from semviz.runs.run import Run
-from semviz.workspace.passes import check_drives, date_of, in_time, pass_of
+from semviz.workspace.passes import check_drive, date_of, in_time, pass_of
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.mapping.passes.changes import Change, MapChanges, find_changes
@@ -73,13 +73,14 @@ class PassSearch(Background[OverTime]):
 
     def _passes(self) -> list[Pass]:
         passes: list[Pass] = []
+        drives: dict[bytes, str] = {}
         names = self._library.names
         for name in self.watch(names, "reading runs", len(names)):
             try:
                 one = pass_of(name, self._library.run(name), self._map.frame)
                 if not one.sure:
                     raise SemvizError(f"{name}: no frame has the status ok")
-                check_drives([*passes, one])
+                check_drive(one, drives)
                 passes.append(one)
             except SemvizError as error:
                 reason = str(error).removeprefix(f"{name}: ")
@@ -186,9 +187,6 @@ def shots_of(over_time: OverTime, change: Change) -> Shots:
     """Return the frames that show a change best: the last ones before it, and the last of all."""
     (found, passes), row = over_time, change.row
     seen, missed = found.evidence.nearest_seen, found.evidence.nearest_missed
-    old = row
-    if change.kind == "moved":
-        old = int(np.flatnonzero(found.semantic_map.elements.id == change.element_id)[0])
     since = found.passes.index(change.since) if change.since else len(passes)
 
     def last(positions: IntArray, is_seen: bool) -> tuple[Pass, int, bool] | None:
@@ -200,7 +198,8 @@ def shots_of(over_time: OverTime, change: Change) -> Shots:
     if change.kind == "new":
         return Shots(last(missed[row, :since], False), last(seen[row], True))
     if change.kind == "moved":
-        return Shots(last(seen[old, :since], True), last(seen[row], True))
+        old = seen[found.row_in_map(change)]
+        return Shots(last(old[:since], True), last(seen[row], True))
     unseen = np.where(seen[row] >= 0, -1, missed[row])
     return Shots(last(seen[row, :since], True), last(unseen, False))
 
@@ -213,9 +212,8 @@ def _shot_view(
     one, position, is_seen = shot
     result = one.localizations[position]
     assert result.T_camera_map is not None
-    element = found.whole[[change.row]]
-    if change.kind == "moved" and not is_after:
-        element = found.whole[found.whole.id == change.element_id]
+    was_here = change.kind == "moved" and not is_after
+    element = found.whole[[found.row_in_map(change) if was_here else change.row]]
     points_m = [element.anchor_m[0]] + ([element.end_m[0]] if element.is_line[0] else [])
     ends = result.camera.project(result.T_camera_map.apply(np.array(points_m)))
     return PassShot(

@@ -8,6 +8,7 @@ new one by ``changed_map``.
 import math
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -112,7 +113,19 @@ class ChangeDecisions(CheckedModel):
 
 def asked_by_frame(path: Path) -> dict[int, tuple[str, ...]]:
     """Return the names of elements whose labels are asked for in frames of the workspace, by the
-    decisions in the file ``path``; none if it is damaged, which other uses of it report."""
+    decisions in the file ``path``; none if it is damaged, which other uses of it report.
+
+    Cheap while the file stays the same: annotate asks after every edit.
+    """
+    try:
+        status = path.stat()
+    except OSError:
+        return {}
+    return _asked_by_frame(path, (status.st_mtime_ns, status.st_ino))
+
+
+@lru_cache(maxsize=8)
+def _asked_by_frame(path: Path, _stamp: tuple[int, int]) -> dict[int, tuple[str, ...]]:
     try:
         asked = read_decisions(path).labels_here()
     except SemvizError:

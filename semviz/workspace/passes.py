@@ -37,15 +37,16 @@ def in_time(passes: Iterable[Pass]) -> list[Pass]:
     return sorted(kept, key=lambda one: one.start_s or 0.0)
 
 
-def check_drives(passes: Iterable[Pass]) -> None:
-    """Raise SemvizError if two passes hold the same detections: one drive, localized twice."""
-    known: dict[bytes, str] = {}
-    for one in passes:
-        other = known.setdefault(_detections(one), one.name)
-        if other != one.name:
-            raise SemvizError(
-                f"{one.name}: has the detections of {other}, so it is no other drive; leave it out"
-            )
+def check_drive(one: Pass, known: dict[bytes, str]) -> None:
+    """Add a pass to those ``known`` by their detections.
+
+    Raise SemvizError if another pass has the same ones: one drive, localized twice.
+    """
+    other = known.setdefault(_detections(one), one.name)
+    if other != one.name:
+        raise SemvizError(
+            f"{one.name}: has the detections of {other}, so it is no other drive; leave it out"
+        )
 
 
 def date_of(one: Pass) -> str:

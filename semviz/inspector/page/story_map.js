@@ -1,7 +1,7 @@
 // @ts-check
 /* The route of a run from above, coloured by the share of frames that are wrong, and its causes. */
 
-import { Surface, View, cssColor, enableZoomAndPan, pointerAt } from "/static/canvas.js";
+import { Surface, View, cssColor, enablePicking, enableZoomAndPan } from "/static/canvas.js";
 import { byId } from "/static/dom.js";
 
 /** @typedef {import("/static/protocol").inspector.StoryCause} StoryCause */
@@ -14,7 +14,6 @@ const PART_PX = 7;
 const MARGIN_PX = 70; // for names beside the route
 const NEAR_PX = 12; // a click hits a part up to this distance
 const NAMED = 5; // causes with a name in the map
-const CLICK_PX = 4; // a press that moves less is a click
 const NAME_PX = { width: 172, height: 32 };
 
 export class StoryMap {
@@ -36,19 +35,8 @@ export class StoryMap {
     this.surface = new Surface(canvas, (...size) => this.draw(...size));
     this.surface.onresize = () => { this.isFitted = false; };
     enableZoomAndPan(canvas, this.view, () => this.surface.redraw());
-    /** @type {Point} */
-    let pressed = [0, 0];
-    canvas.addEventListener("pointerdown", (event) => { pressed = pointerAt(event); });
-    canvas.addEventListener("click", (event) => {
-      const at = pointerAt(event);
-      const part = Math.hypot(at[0] - pressed[0], at[1] - pressed[1]) < CLICK_PX ? this.partAt(at) : null;
-      if (part) open(part.position);
-    });
-    canvas.addEventListener("pointermove", (event) => {
-      const part = this.partAt(pointerAt(event));
-      canvas.title = part ? `${part.wrong} of ${part.frames} frames are wrong here` : "";
-      canvas.style.cursor = part ? "pointer" : "grab";
-    });
+    const text = (/** @type {StoryPart} */ { wrong, frames }) => `${wrong} of ${frames} frames are wrong here`;
+    enablePicking(canvas, (at) => this.partAt(at), text, ({ position }) => open(position));
   }
 
   /**
@@ -99,14 +87,8 @@ export class StoryMap {
    * @param {number} height
    */
   fit(width, height) {
-    const points = this.route.flatMap(({ points }) => points);
-    const [xs, ys] = [points.map(([x]) => x), points.map(([, y]) => -y)];
-    const least = [smallest(xs), smallest(ys)];
-    const size = [Math.max(-smallest(xs.map((x) => -x)) - least[0], 1), Math.max(-smallest(ys.map((y) => -y)) - least[1], 1)];
-    const { view } = this;
-    view.fit(size[0], size[1], Math.max(width - 2 * MARGIN_PX, 50), Math.max(height - 2 * MARGIN_PX, 50));
-    view.x += MARGIN_PX - view.scale * least[0];
-    view.y += MARGIN_PX - view.scale * least[1];
+    const points = this.route.flatMap(({ points }) => points.map(([x, y]) => /** @type {Point} */ ([x, -y])));
+    this.view.fitPoints(points, 0, MARGIN_PX, width, height);
     this.isFitted = true;
   }
 
@@ -256,9 +238,4 @@ function write(context, text, x, y, align, font, color) {
  */
 function shareColor(share) {
   return cssColor(share < 0.34 ? "--ramp-1" : share < 0.67 ? "--ramp-2" : "--ramp-3");
-}
-
-/** @param {number[]} values */
-function smallest(values) {
-  return values.reduce((a, b) => Math.min(a, b), Infinity);
 }

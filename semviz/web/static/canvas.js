@@ -39,6 +39,22 @@ export class View {
     this.y = (height - this.scale * imageHeight) / 2;
   }
 
+  /** Shows points, with so much around them, inside a margin of the canvas. At least 1 by 1 is shown.
+   *
+   * @param {Point[]} points
+   * @param {number} around in their unit
+   * @param {number} margin px
+   * @param {number} width
+   * @param {number} height
+   */
+  fitPoints(points, around, margin, width, height) {
+    const [xs, ys] = [points.map(([x]) => x), points.map(([, y]) => y)];
+    const [left, top] = [least(xs) - around, least(ys) - around];
+    const size = [xs, ys].map((values, axis) => Math.max(around - least(values.map((value) => -value)) - [left, top][axis], 1));
+    this.fit(size[0], size[1], Math.max(width - 2 * margin, 50), Math.max(height - 2 * margin, 50));
+    this.pan(margin - this.scale * left, margin - this.scale * top);
+  }
+
   /** Zooms around a point, which stays fixed.
    *
    * @param {Point} point
@@ -173,6 +189,40 @@ export function enableZoomAndPan(canvas, view, changed, leftPans = () => true) {
   });
   for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, () => { last = null; });
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+}
+
+const CLICK_PX = 4; // a press that moves less is a click
+
+/** Calls `pick` with what a click hits. Over it there is a hand, and its text is the canvas's title.
+ *
+ * @template Thing
+ * @param {HTMLCanvasElement} canvas
+ * @param {(at: Point) => Thing | null} find
+ * @param {(thing: Thing) => string} text
+ * @param {(thing: Thing) => void} pick
+ */
+export function enablePicking(canvas, find, text, pick) {
+  /** @type {Point} */
+  let pressed = [0, 0];
+  canvas.addEventListener("pointerdown", (event) => { pressed = pointerAt(event); });
+  canvas.addEventListener("click", (event) => {
+    const at = pointerAt(event);
+    const thing = Math.hypot(at[0] - pressed[0], at[1] - pressed[1]) < CLICK_PX ? find(at) : null;
+    if (thing) pick(thing);
+  });
+  canvas.addEventListener("pointermove", (event) => {
+    const thing = find(pointerAt(event));
+    canvas.title = thing ? text(thing) : "";
+    canvas.style.cursor = thing ? "pointer" : "grab";
+  });
+}
+
+/** The least value, of any number of them.
+ *
+ * @param {number[]} values
+ */
+function least(values) {
+  return values.reduce((a, b) => Math.min(a, b), Infinity);
 }
 
 /** @type {Map<string, string>} */

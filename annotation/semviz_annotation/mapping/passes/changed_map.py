@@ -52,7 +52,7 @@ def changed_map(found: MapChanges, made: Collection[str]) -> SemanticMap:
 
 def _moved(elements: Elements3D, found: MapChanges, change: Change) -> Elements3D:
     """Return the elements with one in its new place, in the same row."""
-    row = int(np.flatnonzero(elements.id == change.element_id)[0])
+    row = found.row_in_map(change)
     new = replace(found.whole[[change.row]], id=elements.id[[row]])
     others = np.delete(np.arange(len(elements)), row)
     back = np.argsort(np.append(others, row), kind="stable")

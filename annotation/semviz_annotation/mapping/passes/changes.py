@@ -106,6 +106,10 @@ class MapChanges:
     existence: Existence
     """Of ``whole``."""
 
+    def row_in_map(self, change: Change) -> int:
+        """Return the row, of the map and of ``whole``, of an element of the map that changed."""
+        return int(np.flatnonzero(self.semantic_map.elements.id == change.element_id)[0])
+
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
         counts = Counter(change.kind for change in self.changes)

@@ -1,7 +1,7 @@
 // @ts-check
 /* The map from above: changes with their marks and names, standing elements faint. */
 
-import { Surface, View, cssColor, enableZoomAndPan, pointerAt } from "/static/canvas.js";
+import { Surface, View, cssColor, enablePicking, enableZoomAndPan } from "/static/canvas.js";
 import { byId } from "/static/dom.js";
 import { traceGlyph } from "/static/glyphs.js";
 import { drawChangeMark } from "./change_marks.js";
@@ -14,7 +14,6 @@ import { drawChangeMark } from "./change_marks.js";
 
 const MARGIN_PX = 34;
 const NEAR_PX = 14; // a click hits a change up to this distance
-const CLICK_PX = 4; // a press that moves less is a click
 const ROAD_M = 7;
 const SELECTED_M = 12; // around the selected change, when it is zoomed to
 const AROUND_M = 20; // around all changes
@@ -33,19 +32,8 @@ export class ChangeMap {
     this.surface = new Surface(canvas, (...size) => this.draw(...size));
     this.surface.onresize = () => { this.isFitted = false; };
     enableZoomAndPan(canvas, this.view, () => this.surface.redraw());
-    /** @type {Point} */
-    let pressed = [0, 0];
-    canvas.addEventListener("pointerdown", (event) => { pressed = pointerAt(event); });
-    canvas.addEventListener("click", (event) => {
-      const at = pointerAt(event);
-      const change = Math.hypot(at[0] - pressed[0], at[1] - pressed[1]) < CLICK_PX ? this.changeAt(at) : null;
-      if (change) page.select(change.name);
-    });
-    canvas.addEventListener("pointermove", (event) => {
-      const change = this.changeAt(pointerAt(event));
-      canvas.title = change ? `${change.name}: ${change.story}` : "";
-      canvas.style.cursor = change ? "pointer" : "grab";
-    });
+    const text = (/** @type {OverTimeChange} */ { name, story }) => `${name}: ${story}`;
+    enablePicking(canvas, (at) => this.changeAt(at), text, ({ name }) => page.select(name));
   }
 
   /** @param {OverTimeView} found */
@@ -106,13 +94,7 @@ export class ChangeMap {
    */
   fitTo(points, around) {
     const { width, height } = this.surface;
-    const [xs, ys] = [points.map(([x]) => x), points.map(([, y]) => -y)];
-    const [left, top] = [least(xs) - around, least(ys) - around];
-    const size = [-least(xs.map((x) => -x)) + around - left, -least(ys.map((y) => -y)) + around - top];
-    const { view } = this;
-    view.fit(Math.max(size[0], 1), Math.max(size[1], 1), Math.max(width - 2 * MARGIN_PX, 50), Math.max(height - 2 * MARGIN_PX, 50));
-    view.x += MARGIN_PX - view.scale * left;
-    view.y += MARGIN_PX - view.scale * top;
+    this.view.fitPoints(points.map(([x, y]) => [x, -y]), around, MARGIN_PX, width, height);
     this.isFitted = true;
   }
 
@@ -249,9 +231,4 @@ function drawScale(context, scale, width, height) {
   context.font = `400 11px Inter, "Liberation Sans", Arial, sans-serif`;
   context.textAlign = "right";
   context.fillText(metres < 1000 ? `${metres} m` : `${metres / 1000} km`, right, bottom - 9);
-}
-
-/** @param {number[]} values */
-function least(values) {
-  return values.reduce((a, b) => Math.min(a, b), Infinity);
 }
