@@ -365,3 +365,15 @@ def test_an_alternative_pose_takes_one_line_of_the_card(
         for row in poses:
             assert row.evaluate("e => e.getBoundingClientRect().height") == height, row.inner_text()
         page.goto("about:blank")
+
+
+CUT = """() => [...document.querySelectorAll(".topbar, .topbar *")].filter((part) => part.offsetParent
+  && part.clientWidth && part.scrollWidth > part.clientWidth + 1)
+  .map((part) => part.id || part.className)"""
+
+
+def test_nothing_in_the_top_bar_is_cut_at_any_width(url: str, page: "Page") -> None:
+    open_flat(page, url)
+    for width in (1280, 1366, 1401, 1500, 1541, 1600, 1701, 1881):
+        page.set_viewport_size({"width": width, "height": 800})
+        assert page.evaluate(CUT) == [], width
