@@ -367,8 +367,9 @@ def test_an_alternative_pose_takes_one_line_of_the_card(
         page.goto("about:blank")
 
 
-CUT = """() => [...document.querySelectorAll(".topbar, .topbar *")].filter((part) => part.offsetParent
-  && part.clientWidth && part.scrollWidth > part.clientWidth + 1)
+CUT = """() => [...document.querySelectorAll(".topbar, .topbar *")]
+  .filter((part) => part.offsetParent && part.clientWidth)
+  .filter((part) => part.scrollWidth > part.clientWidth + 1)
   .map((part) => part.id || part.className)"""
 
 
