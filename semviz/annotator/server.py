@@ -165,14 +165,20 @@ class Annotator:
     def _poll(self) -> None:
         """Send changes of other processes to the open pages."""
         while not self._closing.wait(POLL_EVERY_S):
-            with self.lock:
-                self.session.map_work.refresh()
-            self._send_health()
-            self._follow_classes()
-            self._follow_people()
-            self._follow_poses()
-            with contextlib.suppress(sqlite3.Error, LabelFileError):  # the pages know it
-                self._send_updates()
+            for follow in (
+                self._refresh_map,
+                self._send_health,
+                self._follow_classes,
+                self._follow_people,
+                self._follow_poses,
+                self._send_updates,
+            ):
+                with contextlib.suppress(sqlite3.Error, LabelFileError):  # the pages know it
+                    follow()
+
+    def _refresh_map(self) -> None:
+        with self.lock:
+            self.session.map_work.refresh()
 
     def _flush(self) -> None:
         """Send updates page by page, so that edits come between; many edits are one update."""
@@ -204,7 +210,7 @@ class Annotator:
 
     def _follow_classes(self) -> None:
         """Tell all pages which classes and attributes are declared, if that has changed."""
-        with contextlib.suppress(sqlite3.Error, LabelFileError), self.lock:
+        with self.lock:
             labels = self.session.labels
             declared = labels.classes, attribute_types(labels)
             if declared != self._sent_classes:

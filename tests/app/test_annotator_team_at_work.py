@@ -10,6 +10,7 @@ from annotator_page import WAIT_MS, Served, draw_on, opened_pages, settled
 from drawn_marks import do
 from streets import street_workspace
 
+from semviz.annotator.page_session import AnnotatorPage
 from semviz.annotator.server import Annotator
 from semviz.web.gateway import Gateway
 from semviz_annotation.labels.edits import MoveObservation
@@ -81,9 +82,15 @@ def test_two_versions_of_a_label_are_shown_side_by_side_in_every_view(
         np.testing.assert_allclose(served.observations[0].anchor_px, (104.0, 40.0))
 
 
-def test_theirs_is_kept_and_they_are_asked(pages: dict[str, "Page"], served: Served) -> None:
+def test_theirs_is_kept_and_they_are_asked(
+    pages: dict[str, "Page"], served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
     tester, mara = pages["tester"], pages["mara"]
-    both_move(tester, served)
+    with monkeypatch.context() as held:  # the refusal is there before the other version
+        held.setattr(AnnotatorPage, "send_update", lambda page: None)
+        both_move(tester, served)
+        tester.wait_for_selector("#conflict button:has-text('Ask mara'):disabled")
+    served.annotator.updates_queued.set()
     tester.click("#conflict button:has-text('Ask mara')")
     settled(tester)
     np.testing.assert_allclose(served.observations[0].anchor_px, (90.0, 40.0))

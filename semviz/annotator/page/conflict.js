@@ -38,13 +38,19 @@ export class Conflict {
       { key: "y", shift, view, group: "General", title: shift ? "Keep theirs" : "Keep mine", words: "conflict", run: () => void this.page.answer(shift ? 1 : 0) })));
   }
 
+  /** Whether the other version has not come from the server yet. */
+  get isOnItsWay() {
+    const { question, labels } = this.page.state;
+    return Boolean(question?.conflict && labels.operation < question.conflict.operation);
+  }
+
   /** The label that both changed, as it is here and on disk; null if the question is of something else, or of another frame. */
   get versions() {
     const { state } = this.page;
     const { question, frame } = state;
     const edit = question?.entry.edit;
     if (!question?.conflict || !edit || !("observation_id" in edit) || question.entry.shown?.frame !== frame) return null;
-    if ((state.labels.frame?.operation ?? 0) < question.conflict.operation) return null; // theirs is on its way
+    if (this.isOnItsWay) return null;
     const mine = find(state.elements, edit.observation_id), theirs = find(state.labels.frame?.elements ?? [], edit.observation_id);
     const one = mine ?? theirs;
     return one && { name: one.element.name, side: one.side, mine, theirs };
@@ -60,12 +66,12 @@ export class Conflict {
     if (!isShown) return;
     const home = document.querySelector(HOMES[view]);
     if (home && byId("conflict").parentElement !== home) home.prepend(byId("conflict"));
-    const { versions } = this;
+    const { versions, isOnItsWay } = this;
     byId("conflict-box").hidden = !versions;
     this.cache.show("conflict-text", [question.text, versions?.name, versions?.side, state.frame], () => this.#text(question));
     this.cache.show("conflict-versions", versions, () => (versions ? this.#about(question) : []));
-    this.cache.show("conflict-answers", [question.text, question.entry.request], () => question.answers.map(({ title }, at) =>
-      el("button", { class: "small", onclick: () => this.page.answer(at) }, `${title} `, ANSWERS[at] ? badge(this.page.keys, ANSWERS[at]) : null)));
+    this.cache.show("conflict-answers", [question.text, question.entry.request, isOnItsWay], () => question.answers.map(({ title }, at) =>
+      el("button", { class: "small", disabled: isOnItsWay ? "" : null, onclick: () => this.page.answer(at) }, `${title} `, ANSWERS[at] ? badge(this.page.keys, ANSWERS[at]) : null)));
     if (versions) this.#load(versions.side);
     this.surface.redraw();
   }
