@@ -19,7 +19,7 @@ from semviz_annotation.storage.store import LabelStore
 from semviz_annotation.storage.teamwork import AssignedFrames
 from semviz_core.common.errors import SemvizError
 
-QueueState: TypeAlias = Literal["waiting", "sent back", "accepted"]
+QueueState: TypeAlias = Literal["waiting", "sent back", "accepted", "in work"]
 STANDS_OUT_PX = 3.0
 FEW_ELEMENTS = 4
 PACE_HOURS = 8
@@ -58,12 +58,12 @@ class ElementNote(NoteView):
 
 
 class QueueEntry(Part):
-    """A reviewed frame, or one that was sent back."""
+    """A frame that is reviewed, was sent back, or has comments while it is in work."""
 
     frame: int
     state: QueueState
     person: str
-    """Who marked it as reviewed, accepted it, or sent it back."""
+    """Who marked it as reviewed, accepted it, sent it back, or commented last."""
     elements: int
     stands_out: str
     """What a reviewer should look at; empty for nothing."""
@@ -154,10 +154,12 @@ class TeamWork:
                     ),
                 )
             )
+        noted = {note.frame_index for note in labels.notes.values()}
         queue = [
-            self._entry(index, state, writers[index], labels)
+            entry
             for index in self.order
-            if index in writers and (state := _state(index, writers[index], labels))
+            if (index in writers or index in noted)
+            and (entry := self._entry(index, writers.get(index), labels))
         ]
         times = (writers[i].time for i in reviewed if i in writers)
         rest = done_on(len(self.order) - len(reviewed), times, now)
@@ -172,7 +174,8 @@ class TeamWork:
             raise SemvizError(f"there are no frames {first} to {last}")
         return AssignedFrames(first, last)
 
-    def _entry(self, index: int, state: QueueState, writer: Writer, labels: Labels) -> QueueEntry:
+    def _entry(self, index: int, writer: Writer | None, labels: Labels) -> QueueEntry | None:
+        """Return where a frame stands; None if it is in work, without comments."""
         elements = {row.element_id for row in labels.in_frame(index)}
         notes = [
             ElementNote(
@@ -184,14 +187,22 @@ class TeamWork:
             for note in labels.notes_of(element_id)
             if note.frame_index == index
         ]
+        state = _state(index, writer, labels)
+        if state != "in work" and writer is not None:
+            person, time = writer.author, writer.time
+        elif notes:
+            last = max(notes, key=lambda note: note.time)
+            person, time = last.author, last.time
+        else:
+            return None
         return QueueEntry(
             frame=index,
             state=state,
-            person=writer.author,
+            person=person,
             elements=len(elements),
             stands_out=self._stands_out(index, labels, len(elements), notes),
             notes=notes,
-            time=writer.time,
+            time=time,
         )
 
     def _stands_out(
@@ -209,8 +220,8 @@ class TeamWork:
         return f"under {FEW_ELEMENTS} elements" if elements < FEW_ELEMENTS else ""
 
 
-def _state(index: int, writer: Writer, labels: Labels) -> QueueState | None:
-    """Return where a frame stands; None if it is in work and was not sent back."""
+def _state(index: int, writer: Writer | None, labels: Labels) -> QueueState:
     if labels.review(index) in REVIEWED:
-        return "accepted" if writer.kind in ("accept frame", "merge frame") else "waiting"
-    return "sent back" if writer.kind == "send back" else None
+        is_accepted = writer is not None and writer.kind in ("accept frame", "merge frame")
+        return "accepted" if is_accepted else "waiting"
+    return "sent back" if writer is not None and writer.kind == "send back" else "in work"

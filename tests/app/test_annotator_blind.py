@@ -399,7 +399,7 @@ def test_two_versions_of_a_frame_stand_side_by_side(
     assert "10.0 px apart" in eva.inner_text("#compared-elements")
     assert eva.inner_text("#compared-names").startswith("eva")
     eva.keyboard.press("v")
-    assert eva.locator("#compared").is_hidden()
+    eva.locator("#compared").wait_for(state="hidden")  # the panels are drawn with the next frame
     rows = "document.querySelectorAll('#team-queue .row')"
     eva.click("#team-chips button:has-text('Waiting')")
     eva.evaluate(LONG_QUEUE, 5000)

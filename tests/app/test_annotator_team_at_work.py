@@ -14,6 +14,7 @@ from semviz.annotator.page_session import AnnotatorPage
 from semviz.annotator.server import Annotator
 from semviz.web.gateway import Gateway
 from semviz_annotation.labels.edits import MoveObservation
+from semviz_annotation.labels.labels import new_id
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -163,3 +164,33 @@ def test_what_was_sent_back_is_a_list_of_who_has_the_frame(
     mara.keyboard.press("Enter")
     settled(mara)
     mara.wait_for_function("() => !semviz.state.labels.team.sent_back.length", timeout=WAIT_MS)
+
+
+def test_what_somebody_is_unsure_about_is_listed_and_looked_at_closely(
+    pages: dict[str, "Page"], served: Served
+) -> None:
+    tester, mara = pages["tester"], pages["mara"]
+    for frame, u in ((0, 100.0), (1, 140.0)):
+        draw_on(mara, frame, u)
+    row = served.observations[-1]
+    flag = {"note_id": new_id(), "element_id": row.element_id, "frame_index": 1, "unsure": True}
+    do(served.annotator.session, {"kind": "note", "text": "", **flag})
+    tester.keyboard.press("F8")
+    tester.click(".chip:has-text('Unsure 1')", timeout=WAIT_MS)
+    tester.click("#team-queue .row:has-text('tester')")
+    tester.wait_for_function("() => semviz.state.frame === 1", timeout=WAIT_MS)
+    tester.wait_for_selector("#team-frame-panel:has-text('in work')")
+    tester.keyboard.press("Enter")
+    tester.wait_for_selector("#message:has-text('does not wait for a reviewer')")
+    assert tester.locator("#team-queue .row").count() == 1
+    tester.wait_for_selector("#team-notes:has-text('unsure')", timeout=WAIT_MS)
+    tester.select_option("#team-element", row.element_id)
+    tester.wait_for_function("() => semviz.team.picture.bitmap", timeout=WAIT_MS)
+    picture = "document.getElementById('team-picture').toDataURL()"
+    whole = tester.evaluate(picture)
+    tester.keyboard.press("Escape")  # from the list of elements
+    tester.keyboard.press("F8")
+    tester.keyboard.press("z")
+    tester.wait_for_function(f"(whole) => {picture} !== whole", arg=whole)
+    tester.keyboard.press("z")
+    tester.wait_for_function(f"(whole) => {picture} === whole", arg=whole)

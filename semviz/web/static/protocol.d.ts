@@ -903,10 +903,10 @@ export interface ProposalView {
   marks: Partial<Record<"left" | "right", ProposalMark>>;
 }
 
-/** A reviewed frame, or one that was sent back. */
+/** A frame that is reviewed, was sent back, or has comments while it is in work. */
 export interface QueueEntry {
   frame: number;
-  state: "waiting" | "sent back" | "accepted";
+  state: "waiting" | "sent back" | "accepted" | "in work";
   person: string;
   elements: number;
   stands_out: string;
