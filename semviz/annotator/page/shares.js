@@ -5,7 +5,7 @@
 /** @import {Page} from "./main.js" */
 /** @import {State} from "./state.js" */
 import { byId, el, svg } from "/static/dom.js";
-import { counted, spaced } from "./values.js";
+import { counted, rangeOf, spaced } from "./values.js";
 import { row } from "./widgets.js";
 
 const NEEDED = 20; // pairs, before figures say something
@@ -52,14 +52,14 @@ export class Shares {
   #assign(event) {
     event.preventDefault();
     const field = byId("twice-frames", HTMLInputElement);
-    const range = field.value.trim().match(/^(\d+)\s*[-–:]\s*(\d+)$/);
+    const frames = rangeOf(field.value);
     const percent = Number(byId("twice-percent", HTMLInputElement).value);
     const people = /** @type {[string, string]} */ (["twice-first", "twice-second"].map((id) => byId(id, HTMLSelectElement).value));
-    if (!range || !(percent > 0 && percent <= 100) || people[0] === people[1]) {
-      this.page.notify("A share in percent, frames as 0-309, and two different people.", "wrong");
+    if (!frames || !(percent > 0 && percent <= 100) || people[0] === people[1]) {
+      this.page.notify(`A share in percent, frames as ${this.state.wholeDrive}, and two different people.`, "wrong");
       return;
     }
-    if (this.page.socket.send("assign_share", { frames: [Number(range[1]), Number(range[2])], percent, people })) field.value = "";
+    if (this.page.socket.send("assign_share", { frames, percent, people })) field.value = "";
     if (document.activeElement instanceof HTMLElement) document.activeElement.blur(); // keys are commands again
   }
 

@@ -256,6 +256,12 @@ export class State {
     return this.elements.find((element) => element.id === this.selected?.element) ?? null;
   }
 
+  /** The range of all frames, as people type one. */
+  get wholeDrive() {
+    const { order } = this;
+    return `${order[0] ?? 0}-${order.at(-1) ?? 0}`;
+  }
+
   /** A selected element that is not labelled here: a proposal or an element of near frames. */
   get selectedCandidate() {
     const id = this.selected?.element;

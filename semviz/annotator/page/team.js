@@ -12,7 +12,7 @@ import { Feed } from "./feed.js";
 import { Shares } from "./shares.js";
 import { peopleRows } from "./team_people.js";
 import { TeamPicture } from "./team_picture.js";
-import { counted, uuid7 } from "./values.js";
+import { counted, rangeOf, uuid7 } from "./values.js";
 import { RenderCache, badge, capital, row } from "./widgets.js";
 
 /** @typedef {annotator.QueueEntry["state"] | "unsure" | "twice"} Listed */
@@ -174,10 +174,9 @@ export class Team {
   #assign(event) {
     event.preventDefault();
     const field = byId("team-frames", HTMLInputElement);
-    const range = field.value.trim().match(/^(\d+)\s*[-–:]\s*(\d+)$/);
-    const frames = range ? /** @type {[number, number]} */ ([Number(range[1]), Number(range[2])]) : null;
+    const frames = rangeOf(field.value);
     if (!frames && field.value.trim().toLowerCase() !== "none") {
-      this.page.notify("Frames as 0-309, or “none” to take all away.", "wrong");
+      this.page.notify(`Frames as ${this.state.wholeDrive}, or “none” to take all away.`, "wrong");
       return;
     }
     const person = byId("team-person", HTMLSelectElement).value;
@@ -206,7 +205,10 @@ export class Team {
     this.#refresh();
     const { known, cache, state } = this;
     const { frame } = state;
-    for (const id of ["team-assign", "team-twice"]) byId(id).hidden = !this.mayReview;
+    byId("team-assign").hidden = !this.mayReview;
+    byId("team-twice").hidden = !this.mayReview || (known?.people.length ?? 0) < 2;
+    byId("team-frames", HTMLInputElement).placeholder = `${state.wholeDrive} or none`;
+    byId("twice-frames", HTMLInputElement).placeholder = state.wholeDrive;
     byId("team-comment").hidden = state.workspace.role === "look";
     const isReady = frame !== null && this.shares.ready.includes(frame);
     this.compared.ask(this.mayReview && (isReady || this.versions) ? frame : null, state.labels.operation);

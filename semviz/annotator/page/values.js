@@ -69,6 +69,16 @@ export function uuid7() {
  */
 export const spaced = (number) => String(number).replace(/\B(?=(\d{3})+(?!\d))/g, " ");
 
+/** A range of frames as people type it ("0-309"); null if the text is none.
+ *
+ * @param {string} text
+ * @returns {[number, number] | null}
+ */
+export function rangeOf(text) {
+  const range = text.trim().match(/^(\d+)\s*[-–:]\s*(\d+)$/);
+  return range && [Number(range[1]), Number(range[2])];
+}
+
 /** A number with its noun: "1 frame", "9 frames".
  *
  * @param {number} number
