@@ -311,6 +311,8 @@ def _write_drives() -> None:
         work = Path(name)
         for write in (tum, kitti, euroc):
             shutil.copy(write(work), _path("drive-poses", write.__name__))
+        names = "t_ns,x [m],y [m],z [m],qw,qx,qy,qz"
+        _write("drive-poses", "names.csv", f"{names}\n1,0,0,1.6,1,0,0,0\n2,0,1,1.6,1,0,0,0\n")
         shutil.copy(nerfstudio(work), _path("nerfstudio", "small.json"))
         for write, kind in ((colmap, "txt"), (colmap_binary, "bin")):
             model = write(work)

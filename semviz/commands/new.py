@@ -82,8 +82,9 @@ class NewCommand:
     right_calibration: parsing.OptionalPath = None
     """Calibration of the right camera, if it has a file of its own."""
     poses: parsing.OptionalPath = None
-    """Of your images: TUM, KITTI, EuRoC, KITTI-360, COLMAP's folder or nerfstudio's
-    transforms.json. With --kitti: TUM or KITTI, instead of KITTI's own, for the left camera."""
+    """Of your images: TUM, KITTI, EuRoC, KITTI-360, a table with named columns, COLMAP's folder or
+    nerfstudio's transforms.json. With --kitti: TUM or KITTI, instead of KITTI's own, for the left
+    camera."""
     times: parsing.OptionalPath = None
     """Times of your images, a line for each; default: their names, if these are times."""
     extrinsic: parsing.OptionalText = None

@@ -94,6 +94,17 @@ def rotations_of(quaternions: FloatArray, order: QuaternionOrder, path: Path) ->
     return np.asarray(Rotation.from_quat(xyzw).as_matrix()).reshape(-1, 3, 3)
 
 
+def body_axes(yaw_rad: FloatArray, pitch_rad: FloatArray, roll_rad: FloatArray) -> FloatArray:
+    """Return R_enu_body (n, 3, 3) of bodies with x ahead, y left, z up.
+
+    Yaw is counterclockwise from east; positive pitch is nose down; the order is Rz Ry Rx.
+    """
+    from scipy.spatial.transform import Rotation
+
+    angles = np.column_stack([yaw_rad, pitch_rad, roll_rad])
+    return np.asarray(Rotation.from_euler("ZYX", angles).as_matrix()).reshape(-1, 3, 3)
+
+
 UpDirection: TypeAlias = Literal["auto", "cameras", "x", "-x", "y", "-y", "z", "-z"]
 
 FLIPPED = Pose(np.diag([1.0, -1.0, -1.0]), np.zeros(3))

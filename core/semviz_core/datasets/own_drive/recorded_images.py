@@ -232,7 +232,7 @@ def body_from_camera(
         if calibration.T_body_left is None:
             raise SemvizError(
                 f"{recorded.path}: {recorded.format} holds poses of a body, not of the camera; "
-                "give --extrinsic FILE with T_body_camera"
+                "give --extrinsic FILE with T_body_camera, or flu or frd"
             )
         name = conventions.CALIBRATION_EXTRINSIC
     if name is None:
