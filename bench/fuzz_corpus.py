@@ -282,7 +282,8 @@ def _write_detectors() -> None:
 def _write_drives() -> None:
     """The files of an own drive."""
     for name, text in CALIBRATIONS.items():
-        _write("camera-toml" if name.endswith("toml") else "camera-yaml", name, text)
+        kind = {".toml": "toml", ".txt": "text"}.get(Path(name).suffix, "yaml")
+        _write(f"camera-{kind}", name, text)
     _write("camera-toml", "stereo.toml", STEREO)
     _write("camera-yaml", "stereo.yaml", KALIBR_STEREO)
     _write("drive-times", "times.txt", "".join(f"{t}\n" for t in stamps()))

@@ -50,7 +50,7 @@ def all_of(*reads: Callable[[], object]) -> None:
 
 def calibration(path: Path) -> None:
     """Cameras are rectified, and the file is that of a body, too."""
-    found = read_calibration(path)
+    found = read_calibration(path, size=(64, 48))
     right = found.cameras[1] if len(found.cameras) == 2 else None
     T_right_left = found.T_right_left if right is not None else None
     all_of(

@@ -298,6 +298,7 @@ READERS: Mapping[str, Reader] = {
     "pole-map": Reader("input.npz", _pole_map),
     "camera-toml": Reader("input.toml", drive.calibration),
     "camera-yaml": Reader("input.yaml", drive.calibration),
+    "camera-text": Reader("input.txt", drive.calibration),
     "drive-poses": Reader("input.txt", drive.poses),
     "drive-times": Reader("input.txt", drive.times),
     "colmap": Reader("input", drive.colmap),

@@ -89,6 +89,35 @@ focal_px = [831.5, 833.6]
 center_px = [510.6, 391.5]
 distortion = [-0.35, 0.14, 0.0001, 0.00073]
 """,
+    "orbslam.yaml": """%YAML:1.0
+Camera.type: "PinHole"
+Camera1.fx: 831.5
+Camera1.fy: 833.6
+Camera1.cx: 510.6
+Camera1.cy: 391.5
+Camera1.k1: -0.35
+Camera1.k2: 0.14
+Camera1.p1: 1e-4
+Camera1.p2: 0.00073
+Camera.width: 1024
+Camera.height: 768
+Viewer.PointSize: 2.0
+""",
+    "vins.yaml": """%YAML:1.0
+---
+model_type: PINHOLE
+image_width: 1024
+image_height: 768
+distortion_parameters: {k1: -0.35, k2: 0.14, p1: 0.0001, p2: 0.00073}
+projection_parameters: {fx: 831.5, fy: 833.6, cx: 510.6, cy: 391.5}
+""",
+    "named.json": """{"value0": {"intrinsics": [{"camera_type": "pinhole-radtan", "intrinsics":
+{"fx": 831.5, "fy": 833.6, "cx": 510.6, "cy": 391.5,
+ "k1": -0.35, "k2": 0.14, "p1": 0.0001, "p2": 0.00073}}], "resolution": [[1024, 768]]}}
+""",
+    "droid.txt": "831.5 833.6 510.6 391.5 -0.35 0.14 0.0001 0.00073\n",
+    "dso.txt": "RadTan 831.5 833.6 510.6 391.5 -0.35 0.14 0.0001 0.00073\n"
+    "1024 768\ncrop\n640 480\n",
 }
 
 

@@ -77,8 +77,9 @@ class NewCommand:
     right: parsing.OptionalPath = None
     """Folder of the right camera's images, called like the left ones."""
     calibration: parsing.OptionalPath = None
-    """Calibration of your cameras: Kalibr, ROS camera_info, EuRoC, OpenCV, or semviz's TOML; a
-    model of COLMAP or nerfstudio; default: that in --poses, if it is such a model."""
+    """Calibration of your cameras: Kalibr, ROS camera_info, EuRoC, OpenCV, ORB-SLAM, VINS-Fusion,
+    DSO, or semviz's TOML; a matrix K; a model of COLMAP or nerfstudio; default: that in --poses, if
+    it is such a model."""
     right_calibration: parsing.OptionalPath = None
     """Calibration of the right camera, if it has a file of its own."""
     poses: parsing.OptionalPath = None

@@ -155,10 +155,33 @@ def test_a_rectified_pair_is_left_as_it_is() -> None:
     assert rectified.rig.baseline_m == 0.54
 
 
+def test_a_matrix_alone_is_a_camera_of_the_size_of_its_images(tmp_path: Path) -> None:
+    path = tmp_path / "K.txt"
+    path.write_text("831.5 0 510.6\n0 833.6 391.5\n0 0 1\n")
+    (camera,) = read_calibration(path, size=(1024, 768)).cameras
+    assert (camera.model, camera.width, camera.height) == ("pinhole", 1024, 768)
+    with pytest.raises(SemvizError, match="no size of images"):
+        read_calibration(path)
+    with pytest.raises(SemvizError, match="far from the middle of images of 512x384: calibrated"):
+        read_calibration(path, size=(512, 384))
+
+
+def test_the_named_coefficients_of_a_fisheye_are_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    text = CALIBRATIONS["orbslam.yaml"].replace("PinHole", "KannalaBrandt8")
+    path.write_text(text.replace("p1:", "k3:").replace("p2:", "k4:"))
+    (camera,) = read_calibration(path).cameras
+    assert camera.model == "fisheye"
+    np.testing.assert_array_equal(camera.distortion, [-0.35, 0.14, 0.0001, 0.00073])
+    path.write_text(path.read_text().replace("Camera.type", "Camera.kind"))
+    with pytest.raises(SemvizError, match="k1 without p1 and p2, and no lens model"):
+        read_calibration(path)
+
+
 @pytest.mark.parametrize("name", CALIBRATIONS)
 def test_all_formats_give_one_camera(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text(CALIBRATIONS[name])
-    (camera,) = read_calibration(tmp_path / name).cameras
+    (camera,) = read_calibration(tmp_path / name, size=(1024, 768)).cameras
     assert (camera.model, camera.width, camera.height) == ("brown-conrady", 1024, 768)
     np.testing.assert_array_equal(
         camera.K[[0, 1, 0, 1], [0, 1, 2, 2]], [831.5, 833.6, 510.6, 391.5]
@@ -196,6 +219,24 @@ REFUSED = {
         "7 distortion terms; only 4, 5 and 8",
     ),
     "two cameras": ("a.ini", 2 * CALIBRATIONS["ros.ini"], "several cameras"),
+    "two named cameras": (
+        "a.yaml",
+        CALIBRATIONS["orbslam.yaml"]
+        + "".join(f"Camera2.{name}: 500\n" for name in ("fx", "fy", "cx", "cy")),
+        "the numbers of several cameras \\(Camera1, Camera2\\)",
+    ),
+    "rectified and recorded": (
+        "a.yaml",
+        CALIBRATIONS["orbslam.yaml"] + "LEFT.width: 752\n",
+        "the numbers of several cameras",
+    ),
+    "double sphere": (
+        "a.json",
+        CALIBRATIONS["named.json"].replace("pinhole-radtan", "ds"),
+        "the lens model ds is not read",
+    ),
+    "FOV": ("a.txt", "Pinhole 800 800 510 390 0.9\n1024 768\n", "the lens model FOV"),
+    "relative": ("a.txt", "Pinhole 0.8 1.1 0.5 0.5 0\n1024 768\n", "relative to the size"),
     "omni": (
         "a.yaml",
         CALIBRATIONS["kalibr.yaml"].replace("camera_model: pinhole", "camera_model: omni"),

@@ -15,70 +15,46 @@ Kalibr's camchain, ROS's camera_info, EuRoC's sensor.yaml, OpenCV's YAML and an 
 A rig of several cameras has a table for each, ``[cameras.front]``, with the same and
 ``T_body_camera`` for any body, such as the first camera.
 
-All count pixels as semviz does. What a reader cannot know is refused, never guessed.
+Others name the numbers of a camera one by one, or list them: ``named_calibrations``.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from semviz_core.base.pose import Pose
-from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import read_toml, shown
-from semviz_core.datasets.own_drive.lens import COEFFICIENTS, LensModel, OriginalCamera
+from semviz_core.datasets.own_drive.calibration import (
+    CalibrationFile,
+    camera_of_numbers,
+    focal_and_center,
+    lens_model,
+    needed,
+    pose_of_numbers,
+    unknown_model,
+)
+from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera
+from semviz_core.datasets.own_drive.named_calibrations import Size, listed_camera, named_camera
 from semviz_core.datasets.own_drive.yaml_files import numbers_of, read_yaml
 from semviz_core.datasets.trajectory import read_text
 
-_MODELS: dict[str, LensModel] = {
-    "pinhole": "pinhole",
-    "none": "pinhole",
-    "": "pinhole",
-    "radtan": "brown-conrady",
-    "radial-tangential": "brown-conrady",
-    "plumb_bob": "brown-conrady",
-    "rational_polynomial": "brown-conrady",
-    "brown-conrady": "brown-conrady",
-    "opencv": "brown-conrady",
-    "equidistant": "fisheye",
-    "equi": "fisheye",
-    "fisheye": "fisheye",
-    "kannala_brandt": "fisheye",
-    "opencv_fisheye": "fisheye",
-}
-READ_MODELS = "pinhole, Brown-Conrady (radtan, plumb_bob) and fisheye (equidistant)"
 
-
-@dataclass(frozen=True, eq=False)
-class CalibrationFile:
-    """What a calibration file says, and how it was read."""
-
-    path: Path
-    format: str
-    """For people: ``Kalibr``."""
-    cameras: tuple[OriginalCamera, ...]
-    """One, or left and right."""
-    T_right_left: Pose | None = None
-    T_body_left: Pose | None = None
-    """From the left camera to the body (IMU) that the file knows; None if it knows none."""
-    rectified: tuple[Pose | None, float] = (None, 0.0)
-    """Of ROS: rotation to the rectified axes, and the offset along x (m) in its projection."""
-    T_first_left: Pose | None = None
-    """Of a rig: from this camera to its first one; None: their poses in the body say it, if any."""
-
-
-def read_calibration(path: Path, right: Path | None = None) -> CalibrationFile:
+def read_calibration(
+    path: Path, right: Path | None = None, *, size: Size | None = None
+) -> CalibrationFile:
     """Return the calibration in ``path``; ``right`` is the file of the right camera, if separate.
 
-    Raise SemvizError if a file is of no known format, or its model is not among ``READ_MODELS``.
+    ``size`` is that of the images, for files that do not say it. Raise SemvizError if a file is of
+    no known format, or its model is not among ``READ_MODELS``.
     """
-    left_file = _read_file(path)
+    left_file = _read_file(path, size)
     if right is None:
         return left_file
-    return stereo_calibration(left_file, _read_file(right))
+    return stereo_calibration(left_file, _read_file(right, size))
 
 
 def read_rig_calibration(path: Path, names: Sequence[str], name: str) -> CalibrationFile:
@@ -126,79 +102,38 @@ def _relative_pose(left: CalibrationFile, right: CalibrationFile) -> Pose | None
     return R_right.inverse() @ Pose(np.eye(3), np.array([offset_m, 0.0, 0.0])) @ R_left
 
 
-def _read_file(path: Path) -> CalibrationFile:
+def _read_file(path: Path, size: Size | None = None) -> CalibrationFile:
     if not path.is_file():
         raise SemvizError(f"{path}: no such calibration file; name another with --calibration")
     if path.suffix == ".toml":
         return _own(path, read_toml(path))
     if path.suffix == ".ini":
         return camera_info(path, _ini(path))
+    if path.suffix == ".txt" and (listed := listed_camera(path, size)) is not None:
+        return listed
     content = read_yaml(path)
     if content.get("model_type") == "MEI" or "mirror_parameters" in content:
-        raise _unknown_model(path, "MEI (a mirror or a fisheye with xi)")
+        raise unknown_model(path, "MEI (a mirror or a fisheye with xi)")
     if "cam0" in content:
         return _kalibr(path, content)
     if "T_BS" in content or "intrinsics" in content:
         return _euroc(path, content)
     if "distortion_model" in content or {"d", "k", "p"} <= content.keys():
         return camera_info(path, content)
-    return _opencv(path, content)
-
-
-def _unknown_model(path: Path, name: str) -> SemvizError:
-    return SemvizError(
-        f"{path}: the lens model {shown(name, 60)} is not read, only {READ_MODELS}; calibrate the "
-        "camera with one of them"
+    if any(name in content for name in _OPENCV_K):
+        return _opencv(path, content)
+    named = named_camera(path, content, size)
+    if named is not None:
+        return named
+    if "P0" in content:
+        raise SemvizError(
+            f"{path}: a calibration of KITTI odometry: use --kitti ROOT instead of --images, "
+            "or write its numbers into a TOML file (docs/own-drive.md)"
+        )
+    raise SemvizError(
+        f"{path}: no calibration that is read: Kalibr's camchain, ROS's camera_info, EuRoC's "
+        "sensor.yaml, OpenCV's camera_matrix, fx, fy, cx, cy by name, or semviz's TOML"
     )
-
-
-def _model(path: Path, name: Any) -> LensModel:
-    text = name if isinstance(name, str) else "" if name is None else type(name).__name__
-    model = _MODELS.get(text.lower())
-    if model is None:
-        raise _unknown_model(path, text)
-    return model
-
-
-def _camera(
-    where: str, model: LensModel, size: FloatArray, numbers: FloatArray, distortion: FloatArray
-) -> OriginalCamera:
-    """Return the camera with fx, fy, cx, cy. Zeros after the last coefficient are left out."""
-    fx, fy, cx, cy = numbers.tolist()
-    if not fx:
-        raise SemvizError(f"{where}: focal length 0: this camera was never calibrated")
-    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    if not distortion.any() and model != "fisheye":
-        model, distortion = "pinhole", distortion[:0]
-    if model == "pinhole" and distortion.size:
-        raise SemvizError(f"{where}: a pinhole has no distortion; give its lens model")
-    counts = COEFFICIENTS[model]
-    fitting = [count for count in counts if not distortion[count:].any()]
-    if fitting and len(distortion) > fitting[0]:
-        distortion = distortion[: fitting[0]]
-    try:
-        width, height = (int(side) for side in size.tolist())
-        return OriginalCamera(model, width, height, K, distortion)
-    except SemvizError as error:
-        raise SemvizError(f"{where}: {error}") from None
-
-
-def _needed(table: Mapping[str, Any], where: str, *names: str) -> Any:
-    """Return the first of ``names`` that a table has. Raise SemvizError if it has none."""
-    for name in names:
-        if table.get(name) is not None:
-            return table[name]
-    raise SemvizError(f"{where}: no {' or '.join(names)}; not a whole calibration")
-
-
-def _pose(value: Any, where: str) -> Pose:
-    matrix = numbers_of(value, (None,), where)
-    if matrix.size not in (12, 16):
-        raise SemvizError(f"{where}: {matrix.size} numbers, expected those of a 3x4 or 4x4 matrix")
-    try:
-        return Pose.from_matrix(matrix.reshape(-1, 4))
-    except SemvizError as error:
-        raise SemvizError(f"{where}: {error}") from None
 
 
 def _own(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
@@ -211,7 +146,7 @@ def _own(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
         if side in content or side == "left"
     ]
     T_right_left, T_body_left = (
-        _pose(content[name], f"{path}, {name}") if name in content else None
+        pose_of_numbers(content[name], f"{path}, {name}") if name in content else None
         for name in ("T_right_left", "T_body_left")
     )
     if (len(cameras) == 2) != (T_right_left is not None):
@@ -224,14 +159,14 @@ def _own_camera(path: Path, where: str, table: Any) -> OriginalCamera:
         raise SemvizError(f"{where}: not a table; see docs/own-drive.md")
     numbers = np.concatenate(
         [
-            numbers_of(_needed(table, where, name), (2,), f"{where}, {name}")
+            numbers_of(needed(table, where, name), (2,), f"{where}, {name}")
             for name in ("focal_px", "center_px")
         ]
     )
-    size = numbers_of(_needed(table, where, "size_px"), (2,), f"{where}, size_px")
+    size = numbers_of(needed(table, where, "size_px"), (2,), f"{where}, size_px")
     distortion = numbers_of(table.get("distortion", []), (None,), f"{where}, distortion")
-    model = _model(path, _needed(table, where, "model"))
-    return _camera(where, model, size, numbers, distortion)
+    model = lens_model(path, needed(table, where, "model"))
+    return camera_of_numbers(where, model, size, numbers, distortion)
 
 
 def _own_of_rig(path: Path, content: Mapping[str, Any], name: str) -> CalibrationFile:
@@ -241,7 +176,7 @@ def _own_of_rig(path: Path, content: Mapping[str, Any], name: str) -> Calibratio
     where = f"{path}, [cameras.{shown(name, 60)}]"
     camera = _own_camera(path, where, cameras[name])
     T = cameras[name].get("T_body_camera")
-    T_body_camera = None if T is None else _pose(T, f"{where}, T_body_camera")
+    T_body_camera = None if T is None else pose_of_numbers(T, f"{where}, T_body_camera")
     return CalibrationFile(path, "semviz", (camera,), None, T_body_camera)
 
 
@@ -274,7 +209,7 @@ def _kalibr_of_rig(path: Path, content: Mapping[str, Any], number: int) -> Calib
     tables = [_kalibr_table(path, content, other) for other in range(number + 1)]
     table = tables[number]
     if table.get("camera_model", "pinhole") != "pinhole":
-        raise _unknown_model(path, str(table["camera_model"]))
+        raise unknown_model(path, str(table["camera_model"]))
     camera = _listed_camera(path, where, table, "distortion_coeffs")
     T_first_camera: Pose | None = Pose.identity()
     for other, chained in enumerate(tables[1:], 1):
@@ -282,7 +217,7 @@ def _kalibr_of_rig(path: Path, content: Mapping[str, Any], number: int) -> Calib
         if before is None or T_first_camera is None:
             T_first_camera = None
         else:
-            T_camera_before = _pose(before, f"{path}, cam{other}, T_cn_cnm1")
+            T_camera_before = pose_of_numbers(before, f"{path}, cam{other}, T_cn_cnm1")
             T_first_camera = T_first_camera @ T_camera_before.inverse()
     T_body_camera = _imu_from_camera(table, where)
     return CalibrationFile(
@@ -292,9 +227,9 @@ def _kalibr_of_rig(path: Path, content: Mapping[str, Any], number: int) -> Calib
 
 def _imu_from_camera(table: Mapping[str, Any], where: str) -> Pose | None:
     if table.get("T_imu_cam") is not None:
-        return _pose(table["T_imu_cam"], f"{where}, T_imu_cam")
+        return pose_of_numbers(table["T_imu_cam"], f"{where}, T_imu_cam")
     if table.get("T_cam_imu") is not None:
-        return _pose(table["T_cam_imu"], f"{where}, T_cam_imu").inverse()
+        return pose_of_numbers(table["T_cam_imu"], f"{where}, T_cam_imu").inverse()
     return None
 
 
@@ -302,29 +237,21 @@ def _listed_camera(
     path: Path, where: str, table: Mapping[str, Any], coefficients: str
 ) -> OriginalCamera:
     """Return the camera of Kalibr's and EuRoC's lists."""
-    return _camera(
+    return camera_of_numbers(
         where,
-        _model(path, table.get("distortion_model")),
-        numbers_of(_needed(table, where, "resolution"), (2,), f"{where}, resolution"),
-        numbers_of(_needed(table, where, "intrinsics"), (4,), f"{where}, intrinsics"),
+        lens_model(path, table.get("distortion_model")),
+        numbers_of(needed(table, where, "resolution"), (2,), f"{where}, resolution"),
+        numbers_of(needed(table, where, "intrinsics"), (4,), f"{where}, intrinsics"),
         numbers_of(table.get(coefficients) or [], (None,), f"{where}, {coefficients}"),
     )
 
 
 def _euroc(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
     if content.get("camera_model", "pinhole") != "pinhole":
-        raise _unknown_model(path, str(content["camera_model"]))
+        raise unknown_model(path, str(content["camera_model"]))
     camera = _listed_camera(path, str(path), content, "distortion_coefficients")
-    T_body_left = _pose(content["T_BS"], f"{path}, T_BS") if "T_BS" in content else None
+    T_body_left = pose_of_numbers(content["T_BS"], f"{path}, T_BS") if "T_BS" in content else None
     return CalibrationFile(path, "EuRoC", (camera,), None, T_body_left)
-
-
-def _matrix_numbers(value: Any, where: str) -> FloatArray:
-    """Return fx, fy, cx, cy of a 3x3 matrix. Raise SemvizError if it has skew."""
-    K = numbers_of(value, (3, 3), where)
-    if K[0, 1]:
-        raise SemvizError(f"{where}: skew {K[0, 1]:g} is not read; calibrate without skew")
-    return K[[0, 1, 0, 1], [0, 1, 2, 2]]
 
 
 _INI_NAMES = {
@@ -372,13 +299,13 @@ def camera_info(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
     roi = content.get("roi")
     if isinstance(roi, dict) and (roi.get("x_offset") or roi.get("y_offset")):
         raise SemvizError(f"{path}: a region of interest (roi) is not read; record whole images")
-    size = [_needed(content, where, f"image_{side}", side) for side in ("width", "height")]
-    coefficients = _needed(content, where, "distortion_coefficients", "d", "D")
-    camera = _camera(
+    size = [needed(content, where, f"image_{side}", side) for side in ("width", "height")]
+    coefficients = needed(content, where, "distortion_coefficients", "d", "D")
+    camera = camera_of_numbers(
         where,
-        _model(path, content.get("distortion_model")),
+        lens_model(path, content.get("distortion_model")),
         numbers_of(size, (2,), where),
-        _matrix_numbers(_needed(content, where, "camera_matrix", "k", "K"), f"{path}, K"),
+        focal_and_center(needed(content, where, "camera_matrix", "k", "K"), f"{path}, K"),
         numbers_of(coefficients, (None,), f"{path}, D"),
     )
     projection = content.get("projection_matrix", content.get("p", content.get("P")))
@@ -387,7 +314,7 @@ def camera_info(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
         return CalibrationFile(path, "ROS camera_info", (camera,))
     P = numbers_of(projection, (3, 4), f"{path}, P")
     R = numbers_of(turn, (3, 3), f"{path}, R")
-    rotation = _pose(np.column_stack([R, np.zeros(3)]).ravel().tolist(), f"{path}, R")
+    rotation = pose_of_numbers(np.column_stack([R, np.zeros(3)]).ravel().tolist(), f"{path}, R")
     offset_m = float(P[0, 3] / P[0, 0]) if P[0, 0] else 0.0
     return CalibrationFile(path, "ROS camera_info", (camera,), rectified=(rotation, offset_m))
 
@@ -408,37 +335,27 @@ _OPENCV_K2, _OPENCV_D2 = ("K2", "M2", "cameraMatrix2"), ("D2", "distCoeffs2")
 def _opencv(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
     """Read what OpenCV's samples write; such a file does not name its lens model."""
     where = str(path)
-    if not any(name in content for name in _OPENCV_K):
-        if "P0" in content:
-            raise SemvizError(
-                f"{path}: a calibration of KITTI odometry: use --kitti ROOT instead of --images, "
-                "or write its numbers into a TOML file (docs/own-drive.md)"
-            )
-        raise SemvizError(
-            f"{path}: no calibration that is read: Kalibr's camchain, ROS's camera_info, EuRoC's "
-            "sensor.yaml, OpenCV's camera_matrix, or semviz's TOML"
-        )
     size = content.get("image_size", content.get("size"))
     if size is None:
         size = [
-            _needed(content, where, f"image_{side}", f"image_{side.title()}", side)
+            needed(content, where, f"image_{side}", f"image_{side.title()}", side)
             for side in ("width", "height")
         ]
     model: LensModel = "fisheye" if content.get("fisheye_model") == 1 else "brown-conrady"
     cameras = [
-        _camera(
+        camera_of_numbers(
             f"{path}, {names_K[-1]}",
             model,
             numbers_of(size, (2,), f"{path}, image size"),
-            _matrix_numbers(_needed(content, where, *names_K), f"{path}, camera matrix"),
-            numbers_of(_needed(content, where, *names_D), (None,), f"{path}, distortion"),
+            focal_and_center(needed(content, where, *names_K), f"{path}, camera matrix"),
+            numbers_of(needed(content, where, *names_D), (None,), f"{path}, distortion"),
         )
         for names_K, names_D in ((_OPENCV_K, _OPENCV_D), (_OPENCV_K2, _OPENCV_D2))
         if any(name in content for name in names_K)
     ]
     T_right_left = None
     if len(cameras) == 2:
-        R = numbers_of(_needed(content, where, "R"), (3, 3), f"{path}, R")
-        t = numbers_of(_needed(content, where, "T"), (3,), f"{path}, T")
-        T_right_left = _pose(np.column_stack([R, t]).ravel().tolist(), f"{path}, R and T")
+        R = numbers_of(needed(content, where, "R"), (3, 3), f"{path}, R")
+        t = numbers_of(needed(content, where, "T"), (3,), f"{path}, T")
+        T_right_left = pose_of_numbers(np.column_stack([R, t]).ravel().tolist(), f"{path}, R and T")
     return CalibrationFile(path, "OpenCV", tuple(cameras), T_right_left)

@@ -17,8 +17,8 @@ from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import MOST_TEXT_BYTES, first_line, parsed_json, read_limited, shown
 from semviz_core.datasets.own_drive import conventions
+from semviz_core.datasets.own_drive.calibration import CalibrationFile
 from semviz_core.datasets.own_drive.calibration_files import (
-    CalibrationFile,
     read_calibration,
     read_rig_calibration,
 )
@@ -41,6 +41,11 @@ _MODELS: dict[str, tuple[LensModel, tuple[str, ...]]] = {
     "SIMPLE_PINHOLE": ("brown-conrady", _BROWN_NAMES),
     "OPENCV_FISHEYE": ("fisheye", _FISHEYE_NAMES),
 }
+
+
+def is_nerfstudio(path: Path) -> bool:
+    """Whether a JSON file lists the frames of a model; others are calibrations."""
+    return path.suffix == ".json" and b'"frames"' in read_limited(path, MOST_TEXT_BYTES)
 
 
 def read_nerfstudio(path: Path) -> PosedCameras:
@@ -144,12 +149,14 @@ def _calibration(
             )
         return _model_calibration(files, recording, posed)
     path = files.calibration
-    if is_colmap(path) or path.suffix == ".json":
-        cameras = read_colmap(path) if is_colmap(path) else read_nerfstudio(path)
-        return _model_calibration(files, recording, cameras)
+    if is_colmap(path):
+        return _model_calibration(files, recording, read_colmap(path))
+    if is_nerfstudio(path):
+        return _model_calibration(files, recording, read_nerfstudio(path))
     if files.rig:
         return read_rig_calibration(path, files.rig, files.cameras[0])
-    return read_calibration(path, files.right_calibration)
+    size = size_of_images(recording.images, recording.names.left)
+    return read_calibration(path, files.right_calibration, size=size)
 
 
 def _model_calibration(

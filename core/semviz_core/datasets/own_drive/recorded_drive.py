@@ -14,7 +14,7 @@ from semviz_core.base.frame import Frame
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive import conventions
-from semviz_core.datasets.own_drive.calibration_files import CalibrationFile
+from semviz_core.datasets.own_drive.calibration import CalibrationFile
 from semviz_core.datasets.own_drive.image_files import ImageTimes, LeftOutImage
 from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
 from semviz_core.datasets.own_drive.recorded_images import (

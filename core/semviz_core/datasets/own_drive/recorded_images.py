@@ -18,7 +18,7 @@ from semviz_core.datasets.own_drive.adapters.data_sets import (
     read_comma_poses,
     read_recording,
 )
-from semviz_core.datasets.own_drive.calibration_files import CalibrationFile
+from semviz_core.datasets.own_drive.calibration import CalibrationFile
 from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
 from semviz_core.datasets.own_drive.conventions import PosedCameras, RecordedPoses
 from semviz_core.datasets.own_drive.image_files import (

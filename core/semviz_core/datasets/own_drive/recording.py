@@ -17,7 +17,7 @@ from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
 from semviz_core.datasets.own_drive import conventions, image_files
-from semviz_core.datasets.own_drive.calibration_files import CalibrationFile
+from semviz_core.datasets.own_drive.calibration import CalibrationFile
 from semviz_core.datasets.own_drive.image_files import SUFFIXES, TimeUnit
 from semviz_core.datasets.own_drive.rectification import MOST_VIEW_DEG
 

@@ -27,7 +27,8 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import check_file, first_line, read_limited, shown
 from semviz_core.datasets.own_drive import image_files, recording
 from semviz_core.datasets.own_drive.adapters import kitti, nuscenes, rosbag
-from semviz_core.datasets.own_drive.calibration_files import CalibrationFile, read_calibration
+from semviz_core.datasets.own_drive.calibration import CalibrationFile
+from semviz_core.datasets.own_drive.calibration_files import read_calibration
 from semviz_core.datasets.own_drive.conventions import NAMED_EXTRINSICS, RecordedPoses, rotations_of
 from semviz_core.datasets.own_drive.lens import OriginalCamera
 from semviz_core.datasets.own_drive.pose_files import read_poses

@@ -16,7 +16,7 @@ from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
 from semviz_core.datasets.own_drive import image_files
-from semviz_core.datasets.own_drive.calibration_files import CalibrationFile
+from semviz_core.datasets.own_drive.calibration import CalibrationFile
 from semviz_core.datasets.own_drive.conventions import RecordedPoses, body_axes, local_poses
 from semviz_core.datasets.own_drive.lens import OriginalCamera
 from semviz_core.datasets.own_drive.pose_files import read_poses

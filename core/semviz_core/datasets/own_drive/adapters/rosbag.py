@@ -43,8 +43,8 @@ from semviz_core.datasets.own_drive.adapters.ros_messages import (
     odometry,
     stamp_ns,
 )
+from semviz_core.datasets.own_drive.calibration import CalibrationFile
 from semviz_core.datasets.own_drive.calibration_files import (
-    CalibrationFile,
     camera_info,
     stereo_calibration,
 )
