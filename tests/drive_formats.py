@@ -5,11 +5,13 @@ import struct
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from semviz_core.base.pose import Pose, angle_between
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
+from semviz_core.datasets.own_drive.recording import DriveFiles
 from semviz_core.datasets.trajectory import T_MAP_WORLD
 
 MATRIX = "rows: 3, cols: 3, data: [831.5, 0, 510.6, 0, 833.6, 391.5, 0, 0, 1]"
@@ -221,6 +223,15 @@ def nerfstudio(folder: Path) -> Path:
     ]
     camera = {"fl_x": 50.0, "fl_y": 50.0, "cx": 32.0, "cy": 24.0, "w": 64, "h": 48}
     return written(folder / "transforms.json", json.dumps({**camera, "frames": frames}))
+
+
+def without_poses(folder: Path) -> DriveFiles:
+    """Images named by their time in ns; no poses yet."""
+    (folder / "cam").mkdir()
+    for stamp in stamps():
+        assert cv2.imwrite(str(folder / "cam" / f"{stamp}.png"), np.zeros((48, 64, 3), np.uint8))
+    (folder / "cam.toml").write_text(CALIBRATION)
+    return DriveFiles(images=folder / "cam", calibration=folder / "cam.toml")
 
 
 def check_poses(read: RecordedDrive) -> None:

@@ -199,12 +199,17 @@ def read_matrix(path: Path) -> Pose:
             f"--extrinsic {shown(path)}: no such file; give one, "
             + ", ".join(f"'{known}'" for known in NAMED_EXTRINSICS)
         )
+    return pose_in(path, "T_body_camera")
+
+
+def pose_in(path: Path, name: str) -> Pose:
+    """Return the pose, called ``name``, in a file of 12 or 16 numbers. Raise SemvizError."""
     text = " ".join(read_text(path).replace(",", " ").split())
     count = 16 if len(text.split()) == 16 else 12
     try:
         return Pose.from_matrix(parsed_numbers(text, count, "numbers").reshape(-1, 4))
     except SemvizError as error:
-        raise SemvizError(f"{path}: {error}; give T_body_camera as a 3x4 or 4x4 matrix") from None
+        raise SemvizError(f"{path}: {error}; give {name} as a 3x4 or 4x4 matrix") from None
 
 
 def refuse_degrees(path: Path, positions: FloatArray) -> None:

@@ -18,12 +18,13 @@ from semviz_core.common.limits import shown
 from semviz_core.datasets.own_drive.conventions import (
     QuaternionOrder,
     RecordedPoses,
+    pose_in,
     rotations_of,
 )
 from semviz_core.datasets.own_drive.image_files import SUFFIXES, TimeUnit, in_seconds, is_number
 from semviz_core.datasets.own_drive.pose_tables import poses_of_columns
 from semviz_core.datasets.own_drive.sensor_table import read_table
-from semviz_core.datasets.trajectory import read_text
+from semviz_core.datasets.trajectory import MOST_LINES, read_text
 
 _HEAD = 1000
 """Characters of a file in which columns are named."""
@@ -59,6 +60,21 @@ def read_poses(
         if found is not None:
             return found
     return _of_width(path, text, lines, quaternion, unit)
+
+
+def read_pose_folder(folder: Path) -> RecordedPoses | None:
+    """Return the poses of a folder with a text file of a matrix, 3x4 or 4x4, for each image.
+
+    Files are called like the images. None if there are none. Raise SemvizError for another file.
+    """
+    files = sorted(folder.glob("*.txt"))
+    if not files:
+        return None
+    if len(files) > MOST_LINES:
+        raise SemvizError(f"{folder}: more than {MOST_LINES} poses; split the drive")
+    matrices = [pose_in(file, "the pose of the camera").as_matrix()[:3] for file in files]
+    names = tuple(file.stem for file in files)
+    return RecordedPoses(folder, "a matrix for each image", np.array(matrices), names=names)
 
 
 def _is_known(path: Path, width: int) -> bool:

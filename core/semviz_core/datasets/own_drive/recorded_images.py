@@ -30,7 +30,7 @@ from semviz_core.datasets.own_drive.image_files import (
     times_from_names,
 )
 from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
-from semviz_core.datasets.own_drive.pose_files import read_poses
+from semviz_core.datasets.own_drive.pose_files import read_pose_folder, read_poses
 from semviz_core.datasets.own_drive.recorded_cameras import (
     read_cameras,
     read_nerfstudio,
@@ -136,10 +136,13 @@ def _read_posed(files: DriveFiles, recording: Recording) -> PosedCameras | None:
     if is_comma(path):
         return PosedCameras(read_comma_poses(path), {})
     if path.is_dir():
-        raise SemvizError(
-            f"{path}: a folder without a model of COLMAP (images.txt or images.bin, also in 0) or "
-            "comma2k19's frame_positions; name a file"
-        )
+        found = read_pose_folder(path)
+        if found is None:
+            raise SemvizError(
+                f"{path}: a folder without a model of COLMAP (images.txt or images.bin, also in 0),"
+                " comma2k19's frame_positions, or a text file for each image; name a file"
+            )
+        return PosedCameras(found, {})
     return PosedCameras(read_poses(path, files.quaternion, files.time_unit), {})
 
 
