@@ -55,6 +55,20 @@ def test_a_model_brings_its_cameras(drive: DriveFiles, tmp_path: Path, name: str
     assert read.rectified.left.is_identity
 
 
+@pytest.mark.parametrize("write", [colmap, colmap_binary])
+def test_the_cameras_of_a_model_are_a_calibration_without_its_poses(
+    drive: DriveFiles, tmp_path: Path, write: Callable[[Path], Path]
+) -> None:
+    (file,) = write(tmp_path).glob("cameras.*")
+    alone = tmp_path / file.name
+    file.rename(alone)
+    read = read_drive(replace(drive, calibration=alone, poses=tum(tmp_path)))
+    np.testing.assert_array_equal(read.rectified.rig.left.K[:2, 2], [31.5, 23.5])
+    alone.write_bytes(alone.read_bytes()[:9])
+    with pytest.raises(SemvizError, match="not a model of COLMAP, or cut off"):
+        read_drive(replace(drive, calibration=alone))
+
+
 def test_the_import_states_what_it_took(drive: DriveFiles, tmp_path: Path) -> None:
     told = dict(read_drive(replace(drive, poses=euroc(tmp_path))).statements)
     assert told["poses"] == ("data.csv EuRoC, of a body, moved to the left camera by cam.toml")

@@ -14,6 +14,7 @@ import numpy as np
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import read_limited, shown
+from semviz_core.datasets.own_drive.calibration import CalibrationFile
 from semviz_core.datasets.own_drive.conventions import PosedCameras, RecordedPoses, rotations_of
 from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera
 from semviz_core.datasets.trajectory import MOST_LINES
@@ -33,6 +34,7 @@ _MODEL_NAMES = (  # in the order of COLMAP's numbers
 )
 _COUNTS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12)
 _FILES = ("images.bin", "images.txt")
+_CAMERA_FILES = ("cameras.bin", "cameras.txt")
 _MOST_BYTES = 2**30
 _IMAGE = struct.Struct("<I7dI")
 """Id, quaternion w first, translation, id of the camera."""
@@ -91,6 +93,26 @@ def read_colmap(path: Path) -> PosedCameras:
         quaternion="wxyz",
     )
     return PosedCameras(poses, by_name)
+
+
+def is_colmap_camera(path: Path) -> bool:
+    """Whether a path is a model's file of cameras, which may be without its poses."""
+    return path.name in _CAMERA_FILES
+
+
+def read_colmap_camera(path: Path) -> CalibrationFile:
+    """Return the camera in a model's file of cameras. Raise SemvizError if it has several."""
+    is_binary = path.suffix == ".bin"
+    try:
+        cameras = list((_binary_cameras if is_binary else _text_cameras)(path))
+    except (struct.error, ValueError, IndexError, OverflowError):
+        raise SemvizError(f"{path}: not a model of COLMAP, or cut off; export it again") from None
+    if len(cameras) != 1:
+        raise SemvizError(
+            f"{path}: {len(cameras)} cameras, and nothing says which is that of the images; name "
+            "the folder of the model, or keep one"
+        )
+    return CalibrationFile(path, "COLMAP", (cameras[0][1],))
 
 
 _Row = tuple[tuple[float, ...], int, str]

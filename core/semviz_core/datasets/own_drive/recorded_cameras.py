@@ -22,7 +22,12 @@ from semviz_core.datasets.own_drive.calibration_files import (
     read_calibration,
     read_rig_calibration,
 )
-from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
+from semviz_core.datasets.own_drive.colmap_model import (
+    is_colmap,
+    is_colmap_camera,
+    read_colmap,
+    read_colmap_camera,
+)
 from semviz_core.datasets.own_drive.conventions import PosedCameras, RecordedPoses
 from semviz_core.datasets.own_drive.image_files import (
     LeftOutImage,
@@ -151,6 +156,8 @@ def _calibration(
     path = files.calibration
     if is_colmap(path):
         return _model_calibration(files, recording, read_colmap(path))
+    if is_colmap_camera(path):
+        return read_colmap_camera(path)
     if is_nerfstudio(path):
         return _model_calibration(files, recording, read_nerfstudio(path))
     if files.rig:
