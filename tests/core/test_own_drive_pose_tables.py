@@ -111,6 +111,9 @@ def test_a_cell_that_a_pose_needs_is_not_empty(drive: DriveFiles, tmp_path: Path
     path = written(tmp_path / "a.csv", table)
     with pytest.raises(SemvizError, match=r"a\.csv, line 3: y_m is empty; delete the line"):
         read_poses(path)
+    path.write_text("0.png\n")
+    with pytest.raises(SemvizError, match="0 numbers behind a name"):
+        read_poses(path)
     path.write_text("time_s,latitude,longitude,height_m,yaw_deg\n1,49,8,115,3\n")
     with pytest.raises(SemvizError, match="heading_deg, clockwise from north"):
         read_poses(path)

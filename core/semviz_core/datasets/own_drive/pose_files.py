@@ -120,16 +120,16 @@ def _named(
     names = tuple(row[0] for _, row in lines)
     rest = [(number, row[1:]) for number, row in lines]
     width = len(rest[0][1])
+    if width not in (7, 12):
+        raise SemvizError(f"{path}: {width} numbers behind a name; TUM has 7, KITTI 12")
     values = _line_numbers(path, rest, width)
     if width == 7:
         order = quaternion or "xyzw"
         rotations = rotations_of(values[:, 3:], order, path)
         matrices = np.concatenate([rotations, values[:, :3, None]], axis=2)
         return RecordedPoses(path, "TUM", matrices, names=names, quaternion=order)
-    if width == 12:
-        matrices = _checked(path, rest, values.reshape(-1, 3, 4))
-        return RecordedPoses(path, "KITTI", matrices, names=names)
-    raise SemvizError(f"{path}: {width} numbers behind a name; TUM has 7, KITTI 12")
+    matrices = _checked(path, rest, values.reshape(-1, 3, 4))
+    return RecordedPoses(path, "KITTI", matrices, names=names)
 
 
 def _of_matrices(
