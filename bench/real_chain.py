@@ -233,8 +233,8 @@ def print_case(
         print(f"{case.name:<34}  {error}")
         return
     save_map(built, workspace.map_path("own"))
-    found = list(_localized(workspace, frames[1::2], seeds, calibration))
-    errors = np.array([_errors(*pair) for pair in found])
+    found = list(localized(workspace, frames[1::2], seeds, calibration))
+    errors = np.array([errors_of(*pair) for pair in found])
     ok = np.array([result.status == "ok" for result, _ in found])
     wrong = ok & (errors > 1.0).any(axis=1)
     poles = int(built.elements.is_line.sum())
@@ -268,7 +268,7 @@ def _map(
     )
 
 
-def _localized(
+def localized(
     workspace: Workspace, frames: range, seeds: int, calibration: DetectorCalibration | None
 ) -> Iterator[tuple[Localization, Pose]]:
     """Yield each localization with the true T_map_camera."""
@@ -280,7 +280,7 @@ def _localized(
             yield record.localization, record.frame.T_map_camera
 
 
-def _errors(result: Localization, truth: Pose) -> tuple[float, float]:
+def errors_of(result: Localization, truth: Pose) -> tuple[float, float]:
     """RTE (m) and RRE (deg); infinite without a pose."""
     if result.T_camera_map is None:
         return np.inf, np.inf

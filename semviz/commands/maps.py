@@ -53,7 +53,7 @@ class MapBuildCommand:
     sigma_px: float = 1.0
     """Standard deviation of labels: 1 for people, 2 to 4 for imported labels of a detector."""
     min_frames: parsing.OptionalInt = None
-    """Leave out landmarks seen in fewer frames (default: 1; of detections: 4)."""
+    """Leave out landmarks seen in fewer frames (default: 1; of detections: 3)."""
     pose_sigma_m: parsing.OptionalFloat = None
     """Pose error from one pass to the next (default: 0.05)."""
     pose_sigma_deg: parsing.OptionalFloat = None

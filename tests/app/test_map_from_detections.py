@@ -100,7 +100,7 @@ def test_json_tells_what_became_of_the_detections(town, capsys):
     assert sum(counts[kind] for kind in kinds) == counts["detections"]
     assert load_map(town / "maps" / "few.parquet").settings["tracking"] == {
         "least_score": 0.3,
-        "min_frames": 4,
+        "min_frames": 3,
     }
 
 
