@@ -231,6 +231,13 @@ def test_too_few_frames_show_nothing():
         built(road, Detector().detect(road, POLES))
 
 
+def test_three_frames_suffice_where_frames_lie_far_apart():
+    road = Road(count=3, step_m=3.0)
+    made, _ = built(road, Detector(recall=1.0, false=0.0).detect(road, POLES))
+    assert len(made) >= 3
+    assert missing_and_false(made, POLES)[1] == 0
+
+
 def joined(*parts: Proposals) -> Proposals:
     return Proposals.of([row for part in parts for row in part.rows()])
 

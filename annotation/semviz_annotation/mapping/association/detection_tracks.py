@@ -29,6 +29,7 @@ from semviz_annotation.mapping.association.detected_drive import (
 )
 from semviz_annotation.mapping.association.ground_rays import (
     AgreedEnds,
+    DriveImages,
     GroundRays,
     agreed_ends,
     moving_tracks,
@@ -57,6 +58,10 @@ __all__ = [
     "labels_of_map",
 ]
 
+MIN_FRAMES, SPARSE_M = (4, 3), 1.8
+"""How many frames must detect a landmark by default, and how many where they lie so far apart: few
+show what is near, and there are fewer false detections to agree by chance (docs/results/mapping.md,
+'bench/own_maps.py')."""
 _NOWHERE: FloatArray = np.full(2, np.nan)
 _WITHIN_A_PASS = 0.4
 """Error of poses from frame to frame, relative to that between two passes."""
@@ -68,15 +73,16 @@ class TrackOptions:
 
     least_score: float = 0.0
     """Detections with a lower score are not used."""
-    min_frames: int = SearchOptions.min_frames
-    """Least number of frames, at positions of their own, that detect a landmark."""
+    min_frames: int | None = None
+    """Least number of frames, at positions of their own, that detect a landmark; None:
+    ``MIN_FRAMES``, by how far the frames lie apart."""
     calibration: DetectorCalibration | None = None
     """Scores, sigmas and rates of the detector; None: as it gave them, with assumed rates."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.least_score <= 1.0:
             raise SemvizError(f"score {self.least_score:g}: give a number from 0 to 1")
-        if self.min_frames < 2:
+        if self.min_frames is not None and self.min_frames < 2:
             raise SemvizError(f"min_frames {self.min_frames}: a track needs 2 frames or more")
 
     @classmethod
@@ -88,15 +94,24 @@ class TrackOptions:
         return cls(**dict(values) | {"calibration": DetectorCalibration(**calibration)})
 
     def as_json(self) -> dict[str, Any]:
-        """Return JSON values; without a calibration, none is named."""
-        values: dict[str, Any] = {"least_score": self.least_score, "min_frames": self.min_frames}
+        """Return JSON values; what has its default is not named."""
+        values: dict[str, Any] = {"least_score": self.least_score}
+        if self.min_frames is not None:
+            values["min_frames"] = self.min_frames
         if self.calibration is not None:
             values["calibration"] = self.calibration.model_dump(mode="json")
         return values
 
-    def search(self, pose_sigma_m: float) -> SearchOptions:
+    def min_frames_of(self, images: DriveImages) -> int:
+        """Return ``min_frames``, or what it is by default for ``images``."""
+        if self.min_frames is not None:
+            return self.min_frames
+        steps_m = np.diff(np.unique(images.path_m[images.is_key]))
+        return MIN_FRAMES[int(len(steps_m) > 0 and float(np.median(steps_m)) >= SPARSE_M)]
+
+    def search(self, images: DriveImages, pose_sigma_m: float) -> SearchOptions:
         """Return how tracks are searched, with poses ``pose_sigma_m`` off from frame to frame."""
-        search = SearchOptions(min_frames=self.min_frames, pose_sigma_m=pose_sigma_m)
+        search = SearchOptions(min_frames=self.min_frames_of(images), pose_sigma_m=pose_sigma_m)
         if self.calibration is None:
             return search
         return search.of_detector(self.calibration.detector_model(self.least_score))
@@ -138,6 +153,8 @@ class JoinedDetections(NamedTuple):
     """For ``collect_observations``, by observation id."""
     log_odds: dict[str, float]
     """Log-odds that the landmark of a track exists, by id of its label element."""
+    min_frames: int
+    """So many frames detect each track, or more."""
     counts: DetectionCounts
 
 
@@ -172,7 +189,7 @@ def detection_labels(
     tracks = _without_moving(drive, searched, tracks)
     tracks = _with_the_rest(drive, tracks)
     tracks = _without_rejected(drive, tracks)
-    return _joined(labels, drive, tracks)
+    return _joined(labels, drive, tracks, options.min_frames_of(drive.images))
 
 
 def _chosen(
@@ -240,7 +257,7 @@ def _search(
         drive.class_id[rows],
         drive.images,
         searched,
-        options.search(_WITHIN_A_PASS * drive.link.pose_sigma_m),
+        options.search(drive.images, _WITHIN_A_PASS * drive.link.pose_sigma_m),
         on_progress,
     )
     owner[rows] = np.where(found.track >= 0, found.track, FREE)
@@ -299,7 +316,9 @@ def _with_the_rest(drive: DetectedDrive, tracks: _Tracks) -> _Tracks:
     return tracks._replace(owner=owner)
 
 
-def _joined(labels: Labels, drive: DetectedDrive, tracks: _Tracks) -> JoinedDetections:
+def _joined(
+    labels: Labels, drive: DetectedDrive, tracks: _Tracks, min_frames: int
+) -> JoinedDetections:
     """Return the labels with each track as a label element."""
     gathered, owner = drive.gathered, tracks.owner
     _, _, ends = _placed(drive, tracks)
@@ -331,7 +350,8 @@ def _joined(labels: Labels, drive: DetectedDrive, tracks: _Tracks) -> JoinedDete
         across, along = drive.sigma_ratio[detection.id]
         sigma_ratio[detection.id] = across, along * float(ends.spread[row])
     joined = labels.with_rows(rows)
-    return JoinedDetections(joined, sigma_ratio, log_odds, _counts(drive, tracks, ends, log_odds))
+    counts = _counts(drive, tracks, ends, log_odds)
+    return JoinedDetections(joined, sigma_ratio, log_odds, min_frames, counts)
 
 
 def labels_of_map(

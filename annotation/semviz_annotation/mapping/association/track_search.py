@@ -39,7 +39,7 @@ _AT_ONCE = 2000
 class SearchOptions:
     """When rays have a landmark in common."""
 
-    min_frames: int = 3
+    min_frames: int = 4
     """Least number of positions of the camera from which it is detected."""
     pose_sigma_m: float = 0.02
     """Error of poses in each direction from frame to frame."""
