@@ -166,9 +166,9 @@ class ImagePlacement(NamedTuple):
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         width, height = self.image_size
         in_image = np.empty((len(maps), height, width), np.float32)
-        for channel, shown in zip(maps, in_image, strict=True):
+        for channel, target in zip(maps, in_image, strict=True):
             cv2.warpAffine(
-                channel, matrix, self.image_size, shown, flags, borderMode=cv2.BORDER_REPLICATE
+                channel, matrix, self.image_size, target, flags, borderMode=cv2.BORDER_REPLICATE
             )
         columns, rows = (self._shown(axis) for axis in (0, 1))
         in_image[:, ~rows] = 0.0
