@@ -16,7 +16,7 @@ labels tell up to 200 m), and those that nobody can tell.
 import argparse
 import tempfile
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -257,8 +257,7 @@ def _map(
     calibration: DetectorCalibration | None,
 ) -> tuple[SemanticMap, BuildReport]:
     """Build the map without any label."""
-    rows = [row for row in detections.rows() if row.side in case.sides]
-    seen = Proposals.of(rows, detections.processed)
+    seen = of_sides(detections, case.sides)
     return build_map(
         Labels(),
         workspace.source,
@@ -266,6 +265,16 @@ def _map(
         detections=seen,
         tracking=TrackOptions(calibration=calibration),
     )
+
+
+def of_sides(detections: Proposals, sides: tuple[Side, ...]) -> Proposals:
+    """Return the detections of some cameras, as if no detector had processed the others' images."""
+    rows = [row for row in detections.rows() if row.side in sides]
+    processed = detections.processed
+    if processed is not None:
+        images = frozenset(image for image in processed.images if image[1] in sides)
+        processed = replace(processed, images=images)
+    return Proposals.of(rows, processed)
 
 
 def localized(

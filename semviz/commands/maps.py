@@ -54,7 +54,7 @@ class MapBuildCommand:
     """Standard deviation of labels: 1 for people, 2 to 4 for imported labels of a detector."""
     min_frames: parsing.OptionalInt = None
     """Leave out landmarks seen in fewer frames (default: 1; of detections: 4,
-    or 3 if the frames lie 1.8 m apart or more)."""
+    or 3 if those of one camera lie 1.8 m apart or more)."""
     pose_sigma_m: parsing.OptionalFloat = None
     """Pose error from one pass to the next (default: 0.05)."""
     pose_sigma_deg: parsing.OptionalFloat = None

@@ -59,9 +59,9 @@ __all__ = [
 ]
 
 MIN_FRAMES, SPARSE_M = (4, 3), 1.8
-"""How many frames must detect a landmark by default, and how many where they lie so far apart: few
-show what is near, and there are fewer false detections to agree by chance (docs/results/mapping.md,
-'bench/own_maps.py')."""
+"""How many frames must detect a landmark by default, and how many where one camera's lie so far
+apart: few show what is near, and there are fewer false detections to agree by chance. Two cameras
+see enough, and repeat false ones (docs/results/mapping.md, 'bench/own_maps.py')."""
 _NOWHERE: FloatArray = np.full(2, np.nan)
 _WITHIN_A_PASS = 0.4
 """Error of poses from frame to frame, relative to that between two passes."""
@@ -102,19 +102,23 @@ class TrackOptions:
             values["calibration"] = self.calibration.model_dump(mode="json")
         return values
 
-    def min_frames_of(self, images: DriveImages) -> int:
-        """Return ``min_frames``, or what it is by default for ``images``."""
-        if self.min_frames is not None:
-            return self.min_frames
-        steps_m = np.diff(np.unique(images.path_m[images.is_key]))
-        return MIN_FRAMES[int(len(steps_m) > 0 and float(np.median(steps_m)) >= SPARSE_M)]
-
-    def search(self, images: DriveImages, pose_sigma_m: float) -> SearchOptions:
-        """Return how tracks are searched, with poses ``pose_sigma_m`` off from frame to frame."""
-        search = SearchOptions(min_frames=self.min_frames_of(images), pose_sigma_m=pose_sigma_m)
+    def search(
+        self, images: DriveImages, searched: BoolArray, pose_sigma_m: float
+    ) -> SearchOptions:
+        """Return how tracks are searched in the ``searched`` (v,) images, with poses
+        ``pose_sigma_m`` off from frame to frame."""
+        search = SearchOptions(self._min_frames(images, searched), pose_sigma_m)
         if self.calibration is None:
             return search
         return search.of_detector(self.calibration.detector_model(self.least_score))
+
+    def _min_frames(self, images: DriveImages, searched: BoolArray) -> int:
+        if self.min_frames is not None:
+            return self.min_frames
+        shown = images.is_key & searched
+        at_m = np.unique(images.path_m[shown])
+        one_camera = len(at_m) == shown.sum() > 1
+        return MIN_FRAMES[int(one_camera and float(np.median(np.diff(at_m))) >= SPARSE_M)]
 
 
 @dataclass(frozen=True)
@@ -185,11 +189,12 @@ def detection_labels(
     chosen = _chosen(labels, detections, source, options, frames)
     drive = DetectedDrive.of(labels, chosen, source, link, frames)
     searched = _searched(drive, detections)
-    tracks = _search(drive, searched, options, on_progress)
+    search = options.search(drive.images, searched, _WITHIN_A_PASS * link.pose_sigma_m)
+    tracks = _search(drive, searched, search, on_progress)
     tracks = _without_moving(drive, searched, tracks)
     tracks = _with_the_rest(drive, tracks)
     tracks = _without_rejected(drive, tracks)
-    return _joined(labels, drive, tracks, options.min_frames_of(drive.images))
+    return _joined(labels, drive, tracks, search.min_frames)
 
 
 def _chosen(
@@ -245,7 +250,7 @@ class _Tracks(NamedTuple):
 def _search(
     drive: DetectedDrive,
     searched: BoolArray,
-    options: TrackOptions,
+    options: SearchOptions,
     on_progress: Callable[[int, int], None],
 ) -> _Tracks:
     """Return the tracks of what labels do not explain."""
@@ -257,7 +262,7 @@ def _search(
         drive.class_id[rows],
         drive.images,
         searched,
-        options.search(drive.images, _WITHIN_A_PASS * drive.link.pose_sigma_m),
+        options,
         on_progress,
     )
     owner[rows] = np.where(found.track >= 0, found.track, FREE)
