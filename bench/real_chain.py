@@ -16,8 +16,9 @@ labels tell up to 200 m), and those that nobody can tell.
 import argparse
 import tempfile
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,9 +35,11 @@ from semviz_annotation.labels.proposals import (
     read_proposals,
     save_proposals,
 )
+from semviz_annotation.labels.rows import derived_id
 from semviz_annotation.mapping.association.detection_tracks import TrackOptions
 from semviz_annotation.mapping.build import BuildReport, build_map
 from semviz_annotation.storage.backup import import_operations
+from semviz_core.base.camera import Camera
 from semviz_core.base.classes import POLE
 from semviz_core.base.detector_model import DetectorCalibration
 from semviz_core.base.frame import Side
@@ -79,6 +82,36 @@ class Case:
         return Proposals.of([*rows], detections.processed)
 
 
+class Seen(NamedTuple):
+    """How detections are localized: frames alone or tracked, some left out, false ones added."""
+
+    track: bool = False
+    left_out: float = 0.0
+    """Share of the detections."""
+    false: float = 0.0
+    """False poles added to each image, on average, anywhere above the road."""
+
+    def of(self, detections: Proposals, camera: Camera, frames: range, seed: int) -> Proposals:
+        """Return the left detections in ``frames`` as they are localized."""
+        rng = np.random.default_rng(seed)
+        left = (
+            row for row in detections.rows() if row.side == "left" and row.frame_index in frames
+        )
+        rows = [row for row in left if rng.random() >= self.left_out]
+        for frame in frames:
+            for number in range(int(rng.poisson(self.false))):
+                u, v = rng.uniform([5.0, 40.0], [camera.width - 5.0, camera.height / 2.0])
+                foot = (float(u + rng.normal(0.0, 2.0)), float(v + rng.uniform(30.0, 140.0)))
+                rows.append(
+                    Proposal(
+                        derived_id(f"false {seed} {frame} {number}"), frame, "left", POLE,
+                        (float(u), float(v)), foot, True, True, 0.6, 1.0, 3.0, rows[0].detector,
+                    )
+                )  # fmt: skip
+        return Proposals.of(rows, detections.processed)
+
+
+AS_THEY_ARE = Seen()
 CASES = (
     Case("one camera", ("left",), None),
     Case("one camera, poles only", ("left",), (POLE,)),
@@ -107,8 +140,9 @@ def main() -> None:
         )
         print(f"{'below 1 m':>11}{'RTE':>9}{'wrong':>7}")
         calibration = options.calibration and DetectorCalibration.load(options.calibration)
+        seen = Seen(options.track, options.left_out, options.false)
         for case in CASES:
-            print_case(workspace, case, detections, frames, options.seeds, calibration, judge)
+            print_case(workspace, case, detections, frames, options.seeds, calibration, judge, seen)
 
 
 def _arguments() -> argparse.Namespace:
@@ -123,6 +157,9 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--frames", type=int, default=20)
     parser.add_argument("--labels", type=Path, default=LABELS, help="to judge the detector by")
     parser.add_argument("--seeds", type=int, default=3, help="simulated GPS fixes per frame")
+    parser.add_argument("--track", action="store_true", help="follow the camera")
+    parser.add_argument("--left-out", type=float, default=0.0, help="share of what is localized")
+    parser.add_argument("--false", type=float, default=0.0, help="poles added to each image")
     return parser.parse_args()
 
 
@@ -224,6 +261,7 @@ def print_case(
     seeds: int,
     calibration: DetectorCalibration | None,
     judge: Judge | None,
+    seen: Seen,
 ) -> None:
     chosen = case.of(detections)
     save_proposals(chosen, workspace.proposals_path)
@@ -233,8 +271,8 @@ def print_case(
         print(f"{case.name:<34}  {error}")
         return
     save_map(built, workspace.map_path("own"))
-    found = list(_localized(workspace, frames[1::2], seeds, calibration))
-    errors = np.array([_errors(*pair) for pair in found])
+    found = list(localized(workspace, frames[1::2], seeds, calibration, seen))
+    errors = np.array([errors_of(*pair) for pair in found])
     ok = np.array([result.status == "ok" for result, _ in found])
     wrong = ok & (errors > 1.0).any(axis=1)
     poles = int(built.elements.is_line.sum())
@@ -257,8 +295,7 @@ def _map(
     calibration: DetectorCalibration | None,
 ) -> tuple[SemanticMap, BuildReport]:
     """Build the map without any label."""
-    rows = [row for row in detections.rows() if row.side in case.sides]
-    seen = Proposals.of(rows, detections.processed)
+    seen = of_sides(detections, case.sides)
     return build_map(
         Labels(),
         workspace.source,
@@ -268,19 +305,39 @@ def _map(
     )
 
 
-def _localized(
-    workspace: Workspace, frames: range, seeds: int, calibration: DetectorCalibration | None
+def of_sides(detections: Proposals, sides: tuple[Side, ...]) -> Proposals:
+    """Return the detections of some cameras, as if no detector had processed the others' images."""
+    rows = [row for row in detections.rows() if row.side in sides]
+    processed = detections.processed
+    if processed is not None:
+        images = frozenset(image for image in processed.images if image[1] in sides)
+        processed = replace(processed, images=images)
+    return Proposals.of(rows, processed)
+
+
+def localized(
+    workspace: Workspace,
+    frames: range,
+    seeds: int,
+    calibration: DetectorCalibration | None,
+    seen: Seen = AS_THEY_ARE,
 ) -> Iterator[tuple[Localization, Pose]]:
     """Yield each localization with the true T_map_camera."""
+    detections = load_proposals(workspace.proposals_path, workspace.classes)
+    camera = workspace.source.rig.left
+    least = 0.0 if calibration is None else calibration.least_score
     for seed in range(seeds):
-        least = 0.0 if calibration is None else calibration.least_score
-        options = LocalizeOptions(observations="detected", seed=seed, least_score=least)
+        save_proposals(seen.of(detections, camera, frames, seed), workspace.proposals_path)
+        options = LocalizeOptions(
+            observations="detected", seed=seed, least_score=least, track=seen.track
+        )
         for record in localize_workspace(workspace, "own", options, frames, calibration):
             assert record.frame.T_map_camera is not None
             yield record.localization, record.frame.T_map_camera
+    save_proposals(detections, workspace.proposals_path)
 
 
-def _errors(result: Localization, truth: Pose) -> tuple[float, float]:
+def errors_of(result: Localization, truth: Pose) -> tuple[float, float]:
     """RTE (m) and RRE (deg); infinite without a pose."""
     if result.T_camera_map is None:
         return np.inf, np.inf

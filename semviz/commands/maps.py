@@ -53,7 +53,8 @@ class MapBuildCommand:
     sigma_px: float = 1.0
     """Standard deviation of labels: 1 for people, 2 to 4 for imported labels of a detector."""
     min_frames: parsing.OptionalInt = None
-    """Leave out landmarks seen in fewer frames (default: 1; of detections: 4)."""
+    """Leave out landmarks seen in fewer frames (default: 1; of detections: 4,
+    or 3 if those of one camera lie 1.8 m apart or more)."""
     pose_sigma_m: parsing.OptionalFloat = None
     """Pose error from one pass to the next (default: 0.05)."""
     pose_sigma_deg: parsing.OptionalFloat = None
@@ -154,7 +155,7 @@ class MapBuildCommand:
         default = TrackOptions()
         return TrackOptions(
             default.least_score if self.least_score is None else self.least_score,
-            default.min_frames if self.min_frames is None else self.min_frames,
+            self.min_frames,
         )
 
 

@@ -183,6 +183,31 @@ def elements_table(report: RunReport) -> Table:
     return Table(f"{report.name}: elements most often outliers", header, tuple(rows), words=1)
 
 
+def tracks_table(report: RunReport) -> Table | None:
+    """List the map elements that detections alone show, the least sure to exist first; None if
+    people labelled all."""
+    semantic_map = report.run.semantic_map
+    records = {record.id: record for record in report.elements}
+    tracks = sorted(
+        (origin.log_odds, id_, origin)
+        for id_, origin in zip(
+            semantic_map.elements.id.tolist(), semantic_map.provenance, strict=False
+        )
+        if origin.log_odds is not None
+    )
+    if not tracks:
+        return None
+    header = ("element", "sure to exist", "detections in the map", "detected", "used", "outlier")
+    rows = []
+    for _, id_, origin in tracks[:LISTED]:
+        seen = records.get(id_)
+        counts = (0, 0, 0) if seen is None else map(len, (seen.seen, seen.used, seen.outlier))
+        linked = str(len(origin.observation_ids))
+        rows.append((semantic_map.name_of(id_), origin.existence, linked, *map(str, counts)))
+    title = f"{report.name}: least sure of {len(tracks)} elements from detections"
+    return Table(title, header, tuple(rows), words=1)
+
+
 def _element_row(report: RunReport, record: ElementRecord) -> tuple[str, ...]:
     semantic_map = report.run.semantic_map
     (rows,) = np.nonzero(semantic_map.elements.id == record.id)
@@ -210,6 +235,11 @@ def reader_notes(reports: Sequence[RunReport]) -> list[str]:
 
 INSPECTOR = "http://127.0.0.1:8080/"
 """Default address of ``semviz serve``."""
+TRACKS = (
+    "The detections of one landmark in the frames of the map are linked to a track, which is an "
+    "element of the map. To reject a false one, press Exclude from the map in the inspector, or X "
+    "in semviz annotate; it does not return."
+)
 DEFINITIONS = (
     "RTE: distance of the camera centres. RRE: angle between the rotations. Means and quartiles "
     "are of the frames with a pose and a true one; shares below 1 m and 1 deg, and overconfident "
@@ -280,6 +310,7 @@ def _run_section(report: RunReport, pictures: int) -> Html:
         element("h3", "Worst frames"),
         table_element(table, links),
         *_recurring_faults(report),
+        *_tracks(report),
         *_worst_figures(report, pictures),
     )
 
@@ -292,6 +323,19 @@ def _recurring_faults(report: RunReport) -> list[Html]:
         element("h3", "Elements most often outliers"),
         table_element(elements_table(report)),
         element("p", ELEMENTS, class_="dim"),
+    ]
+
+
+def _tracks(report: RunReport) -> list[Html]:
+    """Return the least sure elements from detections, if there are any."""
+    table = tracks_table(report)
+    if table is None:
+        return []
+    title = table.title.removeprefix(f"{report.name}: ")
+    return [
+        element("h3", title.capitalize()),
+        table_element(table),
+        element("p", TRACKS, class_="dim"),
     ]
 
 
@@ -364,8 +408,6 @@ def as_latex(reports: Sequence[RunReport]) -> str:
 
 
 def _all_tables(reports: Sequence[RunReport]) -> list[Table]:
-    per_run = (worst_table, faults_table, elements_table)
-    return [
-        *comparison_tables(reports),
-        *(table(report) for report in reports for table in per_run),
-    ]
+    per_run = (worst_table, faults_table, elements_table, tracks_table)
+    tables = (table(report) for report in reports for table in per_run)
+    return [*comparison_tables(reports), *(table for table in tables if table is not None)]

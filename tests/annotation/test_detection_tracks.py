@@ -231,6 +231,15 @@ def test_too_few_frames_show_nothing():
         built(road, Detector().detect(road, POLES))
 
 
+def test_three_frames_suffice_where_those_of_one_camera_lie_far_apart():
+    road = Road(ONE_CAMERA, count=3, step_m=3.0)
+    made, report = built(road, Detector(recall=1.0, false=0.0).detect(road, POLES))
+    assert len(made) == report.detections.tracks >= 3
+    both = Road(count=3, step_m=3.0)
+    with pytest.raises(SemvizError, match=r"none of \d+ detections show a landmark often enough"):
+        built(both, Detector(recall=1.0, false=0.0).detect(both, POLES))
+
+
 def joined(*parts: Proposals) -> Proposals:
     return Proposals.of([row for part in parts for row in part.rows()])
 

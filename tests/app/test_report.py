@@ -35,10 +35,11 @@ from semviz.presentation.terminal import Table, figure, in_latex, in_markdown
 from semviz.reports.frame_images import frame_svg
 from semviz.reports.html import element
 from semviz.reports.run_plots import RunReport, load_reports
-from semviz.reports.run_report import INSPECTOR, comparison_tables
+from semviz.reports.run_report import INSPECTOR, comparison_tables, tracks_table
 from semviz.runs.diagnosis import diagnosis_name
 from semviz.runs.metrics import summarize_run
 from semviz.runs.run import Run
+from semviz_core.base.semantic_map import Provenance
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -137,6 +138,25 @@ def test_an_element_that_moved_in_the_map_is_named(tmp_path: Path, command: Call
     wrong, worst = (part.splitlines()[4] for part in out.read_text().split("\n## ")[-2:])
     assert re.match(rf"\| moved in the map \| In \d frames: {name} is mapped", wrong)
     assert worst.startswith(f"| {name} |")
+
+
+def test_elements_from_detections_are_listed_the_least_sure_first(runs: tuple[Path, Path]) -> None:
+    labelled = load_reports(runs)[0]
+    assert tracks_table(labelled) is None
+    semantic_map = labelled.run.semantic_map
+    made = [
+        Provenance(observation_ids=("a", "b", "c"), log_odds=9.0 - 3.0 * row) for row in range(3)
+    ]
+    made += [Provenance()] * (len(semantic_map) - 3)
+    run = replace(labelled.run, semantic_map=replace(semantic_map, provenance=tuple(made)))
+    table = tracks_table(replace(labelled, run=run))
+    assert table is not None
+    names = [semantic_map.name_of(int(id_)) for id_ in semantic_map.elements.id[:3]]
+    assert [row[:3] for row in table.cells] == [
+        (names[2], "95.2 %", "3"),
+        (names[1], "99.7 %", "3"),
+        (names[0], "> 99.9 %", "3"),
+    ]
 
 
 def test_the_worst_frames_come_first_and_each_diagnosis_once(runs: tuple[Path, Path]) -> None:

@@ -346,7 +346,7 @@ def build_map(
             placed = with_pose_errors(views, observations, tracks.placed, options.place, poses)
             tracks = replace(tracks, placed=placed)
     if joined is not None:
-        tracks = finish_detected(tracks, joined.log_odds.keys(), tracking.min_frames)
+        tracks = finish_detected(tracks, joined.log_odds.keys(), joined.min_frames)
     decisions = decisions_of(tracks)
     elements, provenance = map_elements(tracks, joined.log_odds if joined else {})
     if not len(elements):

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from semviz_core.base.classes import ClassSet
@@ -304,7 +305,7 @@ class OnnxModel:
     def _regions(self, outputs: list[Any], placement: ImagePlacement) -> list[Region]:
         for name, output in zip(self.settings.outputs, outputs, strict=True):
             numbers = isinstance(output, np.ndarray) and output.dtype.kind in "fiu"
-            if not numbers or not np.isfinite([output.max(initial=0), output.min(initial=0)]).all():
+            if not numbers or not _all_finite(output):
                 raise SemvizError(f"output {name!r} holds other than finite numbers")
         least, kind, labels = self.settings.least_score, self.settings.kind, len(self.classes)
         if kind == "segmentation":
@@ -337,6 +338,13 @@ class OnnxModel:
                 raise SemvizError(
                     f"{path}: outputs: no {name!r} in the model, but {', '.join(has)}"
                 )
+
+
+def _all_finite(output: NDArray[Any]) -> bool:
+    """Return whether there is no NaN and no infinity; the sum is quick, and may overflow."""
+    if np.isfinite(output.sum()):
+        return True
+    return bool(np.isfinite(output).all())
 
 
 def _open_session(path: Path) -> "InferenceSession":

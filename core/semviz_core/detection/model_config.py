@@ -164,16 +164,16 @@ class ImagePlacement(NamedTuple):
         shift = (0.5 * self.scale + self.offset) * shrunk - 0.5
         matrix = np.column_stack([np.diag(scale), shift])
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        in_image = np.stack(
-            [
-                cv2.warpAffine(
-                    channel, matrix, self.image_size, flags=flags, borderMode=cv2.BORDER_REPLICATE
-                )
-                for channel in maps
-            ]
-        )
+        width, height = self.image_size
+        in_image = np.empty((len(maps), height, width), np.float32)
+        for channel, target in zip(maps, in_image, strict=True):
+            cv2.warpAffine(
+                channel, matrix, self.image_size, target, flags, borderMode=cv2.BORDER_REPLICATE
+            )
         columns, rows = (self._shown(axis) for axis in (0, 1))
-        return np.where(rows[:, None] & columns, in_image, np.float32(0.0))
+        in_image[:, ~rows] = 0.0
+        in_image[:, :, ~columns] = 0.0
+        return in_image
 
     def _shown(self, axis: int) -> BoolArray:
         """Return which columns (0) or rows (1) of the image the input shows."""

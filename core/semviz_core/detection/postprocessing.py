@@ -18,7 +18,7 @@ from semviz_core.detection.regions import Region
 
 MOST_BOXES = 300
 """Maximum number of boxes kept, by score."""
-_ROWS_AT_ONCE = 8
+_ROWS_AT_ONCE = 16
 """Rows of a class map that are turned into probabilities at a time: they fit into the cache."""
 Output = NDArray[Any]
 """A model's output: floats of any width."""
@@ -174,13 +174,18 @@ class _Piece:
     @cached_property
     def width(self) -> float:
         """Median number of pixels in a row."""
-        counts = self.mask.sum(axis=1)
-        return float(np.median(counts[counts > 0]))
+        counts = np.sort(self._counts[self._counts > 0])
+        return float(counts[(len(counts) - 1) // 2] + counts[len(counts) // 2]) / 2.0
+
+    @cached_property
+    def _counts(self) -> IntArray:
+        """Number of pixels in each row."""
+        return np.asarray(self.mask.sum(axis=1))
 
     @cached_property
     def centres(self) -> FloatArray:
         """Mean column in the image of each row with pixels."""
-        counts = self.mask.sum(axis=1)
+        counts = self._counts
         sums = self.mask @ np.arange(self.mask.shape[1], dtype=np.float64)
         return np.asarray(sums[counts > 0] / counts[counts > 0] + self.corner[0])
 
@@ -192,10 +197,12 @@ class _Piece:
     @cached_property
     def axis(self) -> FloatArray:
         """(2,) slope in columns per row, and the column at row 0 of the image."""
-        rows = np.nonzero(self.mask.any(axis=1))[0] + self.corner[1]
+        rows = np.flatnonzero(self._counts) + self.corner[1]
         if len(rows) < _POLE_ROWS:  # too short to tell a slope
             return np.array([0.0, self.middle])
-        return np.polyfit(rows, self.centres, 1)
+        away = rows - rows.mean()
+        slope = float(away @ self.centres) / float(away @ away)
+        return np.array([slope, self.middle - slope * float(rows.mean())])
 
 
 def segmentation_maps(output: NDArray[Any], classes: ModelClasses) -> Maps:
@@ -225,14 +232,21 @@ def segmentation_maps(output: NDArray[Any], classes: ModelClasses) -> Maps:
 
 def _maps_of_rows(values: NDArray[Any], classes: ModelClasses) -> Maps:
     """Return maps (k + 1, rows, w) of logits (classes, rows, w) or labels (1, rows, w)."""
+    total: NDArray[np.float32] | np.float32 = np.float32(1.0)
     if values.dtype.kind == "f":
-        odds = softmax(values.astype(np.float32), 0)
+        powers = values.astype(np.float32)
+        np.exp(np.subtract(powers, powers.max(axis=0), out=powers), out=powers)
+        total = powers.sum(axis=0)
     else:
-        odds = np.equal(values, np.arange(len(classes))[:, None, None]).astype(np.float32)
-    wanted = [odds[classes.target == target].sum(axis=0) for target in classes.wanted]
-    ignored = odds[classes.target == IGNORED]
-    rest = ignored.max(axis=0) if len(ignored) else np.zeros(odds.shape[1:], np.float32)
-    return np.stack([*wanted, rest])
+        powers = np.equal(values, np.arange(len(classes))[:, None, None]).astype(np.float32)
+    maps = np.zeros((len(classes.wanted) + 1, *values.shape[1:]), np.float32)
+    place = {target: row for row, target in enumerate(classes.wanted)}
+    for label, target in enumerate(classes.target.tolist()):
+        if target == IGNORED:
+            np.maximum(maps[-1], powers[label], out=maps[-1])
+        else:
+            maps[place[target]] += powers[label]
+    return np.asarray(maps / total)
 
 
 def mask_regions(
@@ -246,8 +260,10 @@ def mask_regions(
     in_image = placement.maps(maps)
     regions: list[Region] = []
     for index, target in enumerate(classes.wanted):
-        others = np.delete(in_image, index, axis=0).max(axis=0)
-        mask = in_image[index] > others
+        mask = np.ones(in_image.shape[1:], np.bool_)
+        for other in range(len(in_image)):
+            if other != index:
+                mask &= in_image[index] > in_image[other]
         pieces = _poles(mask, in_image[index]) if target in classes.lines else _signs(mask)
         regions += [_region(piece, target, in_image[index]) for piece in pieces]
     return [region for region in regions if region.score >= least_score]

@@ -29,6 +29,7 @@ from semviz_annotation.mapping.association.detected_drive import (
 )
 from semviz_annotation.mapping.association.ground_rays import (
     AgreedEnds,
+    DriveImages,
     GroundRays,
     agreed_ends,
     moving_tracks,
@@ -57,6 +58,10 @@ __all__ = [
     "labels_of_map",
 ]
 
+MIN_FRAMES, SPARSE_M = (4, 3), 1.8
+"""How many frames must detect a landmark by default, and how many where one camera's lie so far
+apart: few show what is near, and there are fewer false detections to agree by chance. Two cameras
+see enough, and repeat false ones (docs/results/mapping.md, 'bench/own_maps.py')."""
 _NOWHERE: FloatArray = np.full(2, np.nan)
 _WITHIN_A_PASS = 0.4
 """Error of poses from frame to frame, relative to that between two passes."""
@@ -68,15 +73,16 @@ class TrackOptions:
 
     least_score: float = 0.0
     """Detections with a lower score are not used."""
-    min_frames: int = SearchOptions.min_frames
-    """Least number of frames, at positions of their own, that detect a landmark."""
+    min_frames: int | None = None
+    """Least number of frames, at positions of their own, that detect a landmark; None:
+    ``MIN_FRAMES``, by how far the frames lie apart."""
     calibration: DetectorCalibration | None = None
     """Scores, sigmas and rates of the detector; None: as it gave them, with assumed rates."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.least_score <= 1.0:
             raise SemvizError(f"score {self.least_score:g}: give a number from 0 to 1")
-        if self.min_frames < 2:
+        if self.min_frames is not None and self.min_frames < 2:
             raise SemvizError(f"min_frames {self.min_frames}: a track needs 2 frames or more")
 
     @classmethod
@@ -88,18 +94,31 @@ class TrackOptions:
         return cls(**dict(values) | {"calibration": DetectorCalibration(**calibration)})
 
     def as_json(self) -> dict[str, Any]:
-        """Return JSON values; without a calibration, none is named."""
-        values: dict[str, Any] = {"least_score": self.least_score, "min_frames": self.min_frames}
+        """Return JSON values; what has its default is not named."""
+        values: dict[str, Any] = {"least_score": self.least_score}
+        if self.min_frames is not None:
+            values["min_frames"] = self.min_frames
         if self.calibration is not None:
             values["calibration"] = self.calibration.model_dump(mode="json")
         return values
 
-    def search(self, pose_sigma_m: float) -> SearchOptions:
-        """Return how tracks are searched, with poses ``pose_sigma_m`` off from frame to frame."""
-        search = SearchOptions(min_frames=self.min_frames, pose_sigma_m=pose_sigma_m)
+    def search(
+        self, images: DriveImages, searched: BoolArray, pose_sigma_m: float
+    ) -> SearchOptions:
+        """Return how tracks are searched in the ``searched`` (v,) images, with poses
+        ``pose_sigma_m`` off from frame to frame."""
+        search = SearchOptions(self._min_frames(images, searched), pose_sigma_m)
         if self.calibration is None:
             return search
         return search.of_detector(self.calibration.detector_model(self.least_score))
+
+    def _min_frames(self, images: DriveImages, searched: BoolArray) -> int:
+        if self.min_frames is not None:
+            return self.min_frames
+        shown = images.is_key & searched
+        at_m = np.unique(images.path_m[shown])
+        one_camera = len(at_m) == shown.sum() > 1
+        return MIN_FRAMES[int(one_camera and float(np.median(np.diff(at_m))) >= SPARSE_M)]
 
 
 @dataclass(frozen=True)
@@ -138,6 +157,8 @@ class JoinedDetections(NamedTuple):
     """For ``collect_observations``, by observation id."""
     log_odds: dict[str, float]
     """Log-odds that the landmark of a track exists, by id of its label element."""
+    min_frames: int
+    """So many frames detect each track, or more."""
     counts: DetectionCounts
 
 
@@ -168,11 +189,12 @@ def detection_labels(
     chosen = _chosen(labels, detections, source, options, frames)
     drive = DetectedDrive.of(labels, chosen, source, link, frames)
     searched = _searched(drive, detections)
-    tracks = _search(drive, searched, options, on_progress)
+    search = options.search(drive.images, searched, _WITHIN_A_PASS * link.pose_sigma_m)
+    tracks = _search(drive, searched, search, on_progress)
     tracks = _without_moving(drive, searched, tracks)
     tracks = _with_the_rest(drive, tracks)
     tracks = _without_rejected(drive, tracks)
-    return _joined(labels, drive, tracks)
+    return _joined(labels, drive, tracks, search.min_frames)
 
 
 def _chosen(
@@ -228,7 +250,7 @@ class _Tracks(NamedTuple):
 def _search(
     drive: DetectedDrive,
     searched: BoolArray,
-    options: TrackOptions,
+    options: SearchOptions,
     on_progress: Callable[[int, int], None],
 ) -> _Tracks:
     """Return the tracks of what labels do not explain."""
@@ -240,7 +262,7 @@ def _search(
         drive.class_id[rows],
         drive.images,
         searched,
-        options.search(_WITHIN_A_PASS * drive.link.pose_sigma_m),
+        options,
         on_progress,
     )
     owner[rows] = np.where(found.track >= 0, found.track, FREE)
@@ -299,7 +321,9 @@ def _with_the_rest(drive: DetectedDrive, tracks: _Tracks) -> _Tracks:
     return tracks._replace(owner=owner)
 
 
-def _joined(labels: Labels, drive: DetectedDrive, tracks: _Tracks) -> JoinedDetections:
+def _joined(
+    labels: Labels, drive: DetectedDrive, tracks: _Tracks, min_frames: int
+) -> JoinedDetections:
     """Return the labels with each track as a label element."""
     gathered, owner = drive.gathered, tracks.owner
     _, _, ends = _placed(drive, tracks)
@@ -331,7 +355,8 @@ def _joined(labels: Labels, drive: DetectedDrive, tracks: _Tracks) -> JoinedDete
         across, along = drive.sigma_ratio[detection.id]
         sigma_ratio[detection.id] = across, along * float(ends.spread[row])
     joined = labels.with_rows(rows)
-    return JoinedDetections(joined, sigma_ratio, log_odds, _counts(drive, tracks, ends, log_odds))
+    counts = _counts(drive, tracks, ends, log_odds)
+    return JoinedDetections(joined, sigma_ratio, log_odds, min_frames, counts)
 
 
 def labels_of_map(

@@ -81,12 +81,12 @@ def _built(one: Pass, semantic_map: SemanticMap, labels: Labels) -> Elements3D:
     detections = Proposals.of(rows, ProcessedImages(one.name, images=images))
     source = _Posed(Rig(one.localizations[one.sure[0]].camera), semantic_map.frame, tuple(frames))
     linking = LinkOptions(BuildOptions().place, _pose_sigma_m(one))
-    tracked = detection_labels(nothing, detections, source, linking)
+    tracked = detection_labels(nothing, detections, source, linking, TrackOptions(min_frames=4))
     if not tracked.labels.elements:
         return NO_ELEMENTS
     gathered = collect_observations(tracked.labels, source, None, tracked.sigma_ratio)
     tracks = find_tracks(tracked.labels, gathered, linking, None, lambda what, done, of: None)
-    tracks = finish_detected(tracks, tracked.log_odds.keys(), TrackOptions().min_frames)
+    tracks = finish_detected(tracks, tracked.log_odds.keys(), tracked.min_frames)
     return map_elements(tracks, tracked.log_odds)[0]
 
 
