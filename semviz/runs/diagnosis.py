@@ -105,7 +105,8 @@ def run_diagnosis(
     run: Run, watch: reference.ProgressCallback = reference.no_progress
 ) -> RunDiagnosis:
     """Return the faults of camera and map that recur over the frames."""
-    return diagnose_run(_localized(run), run.semantic_map, detector_of(run), watch)
+    odometry = [frame.odometry for frame in run.frames]
+    return diagnose_run(_localized(run), run.semantic_map, detector_of(run), watch, odometry)
 
 
 def run_elements(
