@@ -18,6 +18,7 @@ from semviz_core.base.localization import Localization
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import IntArray
 from semviz_core.diagnosis import reference
+from semviz_core.diagnosis.confidence import what_tells_apart
 from semviz_core.diagnosis.element_statistics import ElementRecord, element_records
 from semviz_core.diagnosis.fault import (
     FALSE_POSITIVE,
@@ -142,6 +143,8 @@ class DiagnosisCard:
     sentence: str
     confidence: float | None
     """Confidence of the diagnosis; None if the solver's status explains the frame."""
+    tells_apart: str
+    """What would tell the diagnosis from its rivals; empty if it is sure."""
     implicated: tuple[str, ...]
     """Names of the map elements that the diagnosis blames."""
     rows: tuple[tuple[str, str], ...]
@@ -171,10 +174,12 @@ def diagnosis_card(run: Run, record: FrameRecord, detection: DetectionErrors) ->
         *_rows(record, errors, run.semantic_map.classes),
     ]
     listed = 1 if _adds_to_status(run, record) else LISTED  # the diagnosis needs the space
+    confidence = diagnosis.confidence if _finds_fault(run, record) else None
     return DiagnosisCard(
         title=diagnosis_name(run, record).capitalize(),
         sentence=diagnosis_sentence(run, record),
-        confidence=diagnosis.confidence if _finds_fault(run, record) else None,
+        confidence=confidence,
+        tells_apart="" if confidence is None else what_tells_apart(diagnosis.kind, confidence),
         implicated=tuple(run.semantic_map.name_of(id) for id in implicated_elements(run, record)),
         rows=tuple(row for row in rows if row[1]),
         alternatives=_alternatives(result)[:listed],
