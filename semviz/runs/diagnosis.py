@@ -200,12 +200,16 @@ def _adds_to_status(run: Run, record: FrameRecord) -> bool:
 
 
 def noticed_faults(run: Run, record: FrameRecord) -> str:
-    """Return the faults that did no harm to a healthy frame, as far as its diagnosis is known."""
+    """Return the faults that did no harm to a healthy frame, as far as its diagnosis is known.
+
+    A list may be cut at its end: what concerns the whole frame comes first, then what is furthest
+    off.
+    """
     diagnosis = KNOWN_DIAGNOSES.get(record)
     if diagnosis is None or diagnosis.kind != "healthy":
         return ""
     of_kind: dict[str, dict[str, str]] = {}
-    for fault in diagnosis.secondary_faults:
+    for fault in sorted(diagnosis.secondary_faults, key=_importance):
         subject, off = _noticed(run.semantic_map, fault)
         of_kind.setdefault(fault.kind, {}).setdefault(subject, f"{subject} {off}".strip())
     return "; ".join(
@@ -218,8 +222,16 @@ def _noticed(semantic_map: SemanticMap, fault: Fault) -> tuple[str, str]:
     mapped = set(semantic_map.elements.id.tolist())
     named = [semantic_map.name_of(element) for element in fault.elements if element in mapped]
     subject = " and ".join(named or [f"#{row}" for row in fault.rows])
-    off = next((f"({item.value:.0f} px)" for item in fault.evidence if item.unit == "px"), "")
-    return subject, off
+    off_px = _off_px(fault)
+    return subject, "" if off_px is None else f"({off_px:.0f} px)"
+
+
+def _importance(fault: Fault) -> tuple[bool, float]:
+    return bool(fault.elements or fault.rows), -(_off_px(fault) or 0.0)
+
+
+def _off_px(fault: Fault) -> float | None:
+    return next((item.value for item in fault.evidence if item.unit == "px"), None)
 
 
 def _detection_rows(run: Run, detection: DetectionErrors) -> list[tuple[str, str]]:
