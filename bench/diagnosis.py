@@ -53,9 +53,9 @@ Counts = dict[FaultKind, Counter[str]]
 @dataclass(frozen=True)
 class Options:
     frames: int = 200
-    """Of each kind."""
+    """Of each kind; 0 for runs alone."""
     runs: int = 40
-    """Of each kind, of ten frames."""
+    """Of each kind, of ten frames, and half as many long ones; 0 for frames alone."""
     first_seed: int = 1000
     false_detections: float = 0.0
     """Mean number per image besides the planted faults; reported too, but no false alarms."""
@@ -64,8 +64,9 @@ class Options:
 def main(options: Options) -> None:
     if options.frames:
         print_frames(options)
-    for count, share in ((FRAMES, 1), (LONG, 2)):
-        print_runs(options, count, options.runs // share)
+    if options.runs:
+        for count, share in ((FRAMES, 1), (LONG, 2)):
+            print_runs(options, count, max(options.runs // share, 1))
 
 
 def print_frames(options: Options) -> None:

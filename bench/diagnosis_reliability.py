@@ -30,6 +30,8 @@ from semviz_core.research.evaluation.roads import simulated_road
 
 EDGES = np.array([0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0001])
 """Of the classes of stated confidence."""
+LEAST_DRAWN = 5
+"""Diagnoses of a class in the picture."""
 COLOURS = {"pose and ids": "#1f77b4", "pose": "#e08214", "nothing": "#2a9d5c"}
 WORDS = {"pose and ids": "true pose and ids", "pose": "true pose", "nothing": "no ground truth"}
 
@@ -128,7 +130,8 @@ def draw(results: dict[GroundTruthLevel, list[Stated]], path: Path) -> None:
     figure, axes = pyplot.subplots(figsize=(5.2, 4.6), dpi=120)
     axes.plot([0, 1], [0, 1], color="#999999", linewidth=1.0, linestyle="--")
     for knowledge, all_stated in results.items():
-        count, said, right = np.array(list(classes(all_stated))).T
+        drawn = [one for one in classes(all_stated) if one[0] >= LEAST_DRAWN]
+        count, said, right = np.array(drawn).T
         sigma = np.sqrt(right * (1.0 - right) / count + 0.25 / count**2)
         axes.errorbar(
             said, right, 2.0 * sigma, fmt="o-", markersize=5, linewidth=1.2, capsize=3,
