@@ -39,7 +39,7 @@ KINDS: tuple[FaultKind, ...] = ("healthy", *PLANTED, *CAUSES)
 RUN_KINDS: tuple[FaultKind, ...] = (
     "healthy", "wrong calibration", "moved in the map", "missing in the map", "twice in the map",
     "misaligned map", "wrong extrinsic", "time offset", "wrong heading prior",
-    "wrong detection sigma",
+    "wrong detection sigma", "wrong odometry",
 )  # fmt: skip
 UNDECIDED: FaultKind = "false or not mapped"
 MEANS: tuple[FaultKind, ...] = ("false detection", "missing in the map", "moved in the map")
@@ -53,15 +53,23 @@ Counts = dict[FaultKind, Counter[str]]
 @dataclass(frozen=True)
 class Options:
     frames: int = 200
-    """Of each kind."""
+    """Of each kind; 0 for runs alone."""
     runs: int = 40
-    """Of each kind, of ten frames."""
+    """Of each kind, of ten frames, and half as many long ones; 0 for frames alone."""
     first_seed: int = 1000
     false_detections: float = 0.0
     """Mean number per image besides the planted faults; reported too, but no false alarms."""
 
 
 def main(options: Options) -> None:
+    if options.frames:
+        print_frames(options)
+    if options.runs:
+        for count, share in ((FRAMES, 1), (LONG, 2)):
+            print_runs(options, count, max(options.runs // share, 1))
+
+
+def print_frames(options: Options) -> None:
     roads = [simulated_road(options.first_seed + k) for k in range(ROADS)]
     frames: dict[GroundTruthLevel, Counts] = {
         argument: {} for argument in get_args(GroundTruthLevel)
@@ -86,8 +94,6 @@ def main(options: Options) -> None:
     for knowledge, counts in frames.items():
         print_matrix(f"frames, told with: {knowledge}", counts)
         print_trust(counts)
-    for count, share in ((FRAMES, 1), (LONG, 4)):
-        print_runs(options, count, max(options.runs // share, 1))
 
 
 def print_runs(options: Options, count: int, runs: int) -> None:
@@ -143,7 +149,9 @@ def is_meant(fault: Fault, planted: Planted) -> bool:
 
 def named_in_run(planted_run: PlantedRun, knowledge: GroundTruthLevel) -> str:
     frames = [(found, told(truth, knowledge)) for found, truth in planted_run.frames]
-    diagnosis = diagnose_run(frames, planted_run.semantic_map, DETECTOR)
+    diagnosis = diagnose_run(
+        frames, planted_run.semantic_map, DETECTOR, odometry=planted_run.odometry
+    )
     if diagnosis.causes:
         return diagnosis.causes[0].kind
     if diagnosis.calibration is not None:

@@ -65,11 +65,9 @@ class MapChangesCommand:
             changed = changed_map(found, decisions.made(found))
             save_map(changed, path)
         if self.json:
-            said = found.as_dict() | ({} if path is None else {"map": str(path)})
-            for change, told in zip(found.changes, said["changes"], strict=True):
-                decision = decisions.on(change, semantic_map.digest)
-                told["answer"] = "open" if decision is None else decision.answer
-            print(json.dumps(said))
+            print(
+                json.dumps(decisions.as_dict(found) | ({} if path is None else {"map": str(path)}))
+            )
             return 0
         print(found.as_text())
         for line in _decision_lines(found, decisions):

@@ -93,9 +93,14 @@ class PassSearch(Background[OverTime]):
 
 def search_of(context: PageContext) -> PassSearch:
     """Return the search for changes of the open run's map, one for all pages."""
-    run, path = context.run, context.library.path(context.state.run)
-    make = partial(_new_search, context.library, run, path)
-    return context.library.of_map(run.semantic_map.digest, make)
+    return search_of_run(context.library, context.state.run)
+
+
+def search_of_run(library: RunLibrary, name: str) -> PassSearch:
+    """Return the search for changes of the map of a run."""
+    run = library.run(name)
+    make = partial(_new_search, library, run, library.path(name))
+    return library.of_map(run.semantic_map.digest, make)
 
 
 def _new_search(library: RunLibrary, run: Run, path: Path) -> PassSearch:

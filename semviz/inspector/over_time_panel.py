@@ -1,16 +1,20 @@
 """Answer the view "Map over time": its changes, decisions on them, and the changed map."""
 
+import json
 import os
 from typing import NamedTuple
 
+from aiohttp import web
+
 from semviz.inspector import over_time_requests
-from semviz.inspector.context import Panel
+from semviz.inspector.context import Panel, RunLibrary
 from semviz.inspector.element_card import workspaces_near
 from semviz.inspector.over_time import (
     OverTime,
     PassSearch,
     over_time_event,
     search_of,
+    search_of_run,
     shots_of,
 )
 from semviz.inspector.views_over_time import (
@@ -37,6 +41,25 @@ from semviz_annotation.mapping.passes.changes import Change
 from semviz_annotation.mapping.quality.diff import diff_maps
 from semviz_core.base.map_file import save_map
 from semviz_core.common.errors import SemvizError
+
+
+def changes_route(library: RunLibrary) -> web.AbstractRouteDef:
+    """Serve what ``semviz map changes --json`` prints at ``/map-changes.json?run=NAME``."""
+
+    async def respond(request: web.Request) -> web.Response:
+        try:
+            search = search_of_run(library, request.query.get("run", ""))
+        except SemvizError:
+            raise web.HTTPNotFound(text="no such run\n") from None
+        if search.value is None:
+            raise web.HTTPNotFound(text="the passes are not searched for changes yet\n")
+        path = None if search.workspace is None else decisions_path(search.workspace)
+        decisions = ChangeDecisions() if path is None else read_decisions(path)
+        file = json.dumps(decisions.as_dict(search.value.changes), indent=1)
+        headers = {"Content-Disposition": 'attachment; filename="map-changes.json"'}
+        return web.Response(text=file, content_type="application/json", headers=headers)
+
+    return web.get("/map-changes.json", respond)
 
 
 class Former(NamedTuple):

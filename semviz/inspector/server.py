@@ -13,7 +13,7 @@ from semviz.inspector.image import ImagePanel, RenderPanel
 from semviz.inspector.label_repair import LabelRepairPanel
 from semviz.inspector.messages import InspectorRequest
 from semviz.inspector.navigation import BackdropPanel, NavigationPanel, ViewpointPanel
-from semviz.inspector.over_time_panel import OverTimePanel
+from semviz.inspector.over_time_panel import OverTimePanel, changes_route
 from semviz.inspector.selection import SelectionPanel, matrix_route
 from semviz.inspector.solver import SolverPanel
 from semviz.inspector.story import StoryPanel
@@ -61,6 +61,7 @@ class Inspector:
             web.get("/", self._page),
             image_route(self._library),
             matrix_route(self._library),
+            changes_route(self._library),
             web.static("/page/", PAGE),
             *self._sessions.routes(),
             self._annotators.tools,

@@ -18,6 +18,7 @@ from semviz_core.base.localization import Localization
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import IntArray
 from semviz_core.diagnosis import reference
+from semviz_core.diagnosis.confidence import what_tells_apart
 from semviz_core.diagnosis.element_statistics import ElementRecord, element_records
 from semviz_core.diagnosis.fault import (
     FALSE_POSITIVE,
@@ -105,7 +106,8 @@ def run_diagnosis(
     run: Run, watch: reference.ProgressCallback = reference.no_progress
 ) -> RunDiagnosis:
     """Return the faults of camera and map that recur over the frames."""
-    return diagnose_run(_localized(run), run.semantic_map, detector_of(run), watch)
+    odometry = [frame.odometry for frame in run.frames]
+    return diagnose_run(_localized(run), run.semantic_map, detector_of(run), watch, odometry)
 
 
 def run_elements(
@@ -141,6 +143,8 @@ class DiagnosisCard:
     sentence: str
     confidence: float | None
     """Confidence of the diagnosis; None if the solver's status explains the frame."""
+    tells_apart: str
+    """What would tell the diagnosis from its rivals; empty if it is sure."""
     implicated: tuple[str, ...]
     """Names of the map elements that the diagnosis blames."""
     rows: tuple[tuple[str, str], ...]
@@ -170,10 +174,12 @@ def diagnosis_card(run: Run, record: FrameRecord, detection: DetectionErrors) ->
         *_rows(record, errors, run.semantic_map.classes),
     ]
     listed = 1 if _adds_to_status(run, record) else LISTED  # the diagnosis needs the space
+    confidence = diagnosis.confidence if _finds_fault(run, record) else None
     return DiagnosisCard(
         title=diagnosis_name(run, record).capitalize(),
         sentence=diagnosis_sentence(run, record),
-        confidence=diagnosis.confidence if _finds_fault(run, record) else None,
+        confidence=confidence,
+        tells_apart="" if confidence is None else what_tells_apart(diagnosis.kind, confidence),
         implicated=tuple(run.semantic_map.name_of(id) for id in implicated_elements(run, record)),
         rows=tuple(row for row in rows if row[1]),
         alternatives=_alternatives(result)[:listed],
@@ -194,12 +200,16 @@ def _adds_to_status(run: Run, record: FrameRecord) -> bool:
 
 
 def noticed_faults(run: Run, record: FrameRecord) -> str:
-    """Return the faults that did no harm to a healthy frame, as far as its diagnosis is known."""
+    """Return the faults that did no harm to a healthy frame, as far as its diagnosis is known.
+
+    A list may be cut at its end: what concerns the whole frame comes first, then what is furthest
+    off.
+    """
     diagnosis = KNOWN_DIAGNOSES.get(record)
     if diagnosis is None or diagnosis.kind != "healthy":
         return ""
     of_kind: dict[str, dict[str, str]] = {}
-    for fault in diagnosis.secondary_faults:
+    for fault in sorted(diagnosis.secondary_faults, key=_importance):
         subject, off = _noticed(run.semantic_map, fault)
         of_kind.setdefault(fault.kind, {}).setdefault(subject, f"{subject} {off}".strip())
     return "; ".join(
@@ -212,8 +222,16 @@ def _noticed(semantic_map: SemanticMap, fault: Fault) -> tuple[str, str]:
     mapped = set(semantic_map.elements.id.tolist())
     named = [semantic_map.name_of(element) for element in fault.elements if element in mapped]
     subject = " and ".join(named or [f"#{row}" for row in fault.rows])
-    off = next((f"({item.value:.0f} px)" for item in fault.evidence if item.unit == "px"), "")
-    return subject, off
+    off_px = _off_px(fault)
+    return subject, "" if off_px is None else f"({off_px:.0f} px)"
+
+
+def _importance(fault: Fault) -> tuple[bool, float]:
+    return bool(fault.elements or fault.rows), -(_off_px(fault) or 0.0)
+
+
+def _off_px(fault: Fault) -> float | None:
+    return next((item.value for item in fault.evidence if item.unit == "px"), None)
 
 
 def _detection_rows(run: Run, detection: DetectionErrors) -> list[tuple[str, str]]:

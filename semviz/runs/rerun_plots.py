@@ -135,6 +135,7 @@ DIAGNOSIS_COLORS = {
             "wrong gravity prior",
             "wrong height prior",
             "wrong position prior",
+            "wrong odometry",
         ),
         PRIOR,
     ),

@@ -33,7 +33,7 @@ from semviz_core.localization.localizer import Localizer
 from semviz_core.simulation.layout import Section
 from semviz_core.simulation.street import Street
 
-EDITION = 5
+EDITION = 6
 """Increased with every change of the demo, so that an old one in the cache is not used."""
 
 

@@ -105,6 +105,14 @@ class ChangeDecisions(CheckedModel):
             if (name in other if decision is None else decision.answer == "make")
         )
 
+    def as_dict(self, found: MapChanges) -> dict[str, Any]:
+        """Return the changes with their decisions, for JSON."""
+        said = found.as_dict()
+        for change, told in zip(found.changes, said["changes"], strict=True):
+            decision = self.on(change, found.semantic_map.digest)
+            told["answer"] = "open" if decision is None else decision.answer
+        return said
+
     def labels_here(self) -> list[ChangeDecision]:
         """Return the decisions that ask for labels in frames of this workspace, oldest first."""
         last = {(one.map, one.kind, one.name): one for one in self.decisions}

@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.mapping.passes.changed_map import changed_map
 from semviz_annotation.mapping.passes.changes import Change, MapChanges, find_changes
-from semviz_annotation.mapping.passes.evidence import Pass
+from semviz_annotation.mapping.passes.evidence import Pass, evidence_of
 from semviz_annotation.mapping.passes.existence import PassCounts, change_between, existence_of
 from semviz_annotation.mapping.quality.diff import diff_maps
+from semviz_core.base.elements import joined
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.common.errors import SemvizError
 from semviz_core.simulation.street import Street
@@ -171,6 +172,22 @@ def passes(world: ChangingStreet) -> list[Pass]:
 def found(world: ChangingStreet, passes: list[Pass]) -> MapChanges:
     first = world.first_map
     return find_changes(passes, first, Labels(triangle_center=first.triangle_center))
+
+
+def test_a_detection_that_two_elements_explain_tells_of_neither(
+    world: ChangingStreet, passes: list[Pass]
+) -> None:
+    first = world.first_map
+    standing = next(id_ for id_ in first.elements.id.tolist() if id_ not in world.moves
+                    and id_ not in world.vanishes and world.is_shown(id_))  # fmt: skip
+    row = int(np.flatnonzero(first.elements.id == standing)[0])
+    twin = replace(first.elements[[row]], id=first.elements.id.max() + np.array([1]))
+    both = replace(first, elements=joined(first.elements, twin), provenance=(), attributes={})
+    alone, shared = evidence_of(passes[:2], first), evidence_of(passes[:2], both, candidates=1)
+    assert alone.counts.seen[row].sum() >= 8
+    assert shared.counts.seen[[row, -1]].sum() == 0
+    others = np.arange(len(first)) != row
+    assert (shared.counts.seen[:-1][others] == alone.counts.seen[others]).all()
 
 
 def of_kind(found: MapChanges, kind: str) -> list[Change]:

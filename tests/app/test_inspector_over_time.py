@@ -180,6 +180,8 @@ def test_the_command_reads_decisions_of_the_page(
     status, output, _ = call(capsys, *command)
     assert f"decided: {name} ask for a label, by mara" in output
     assert asked_by_frame(decisions) == {21: (name,)}
+    told = read_decisions(decisions).as_dict(over_time.changes)
+    assert {row["name"]: row["answer"] for row in told["changes"]}[name] == "label"
 
 
 @pytest.fixture(scope="module")
@@ -222,6 +224,11 @@ def test_the_page_leads_from_changes_to_frames_and_writes_the_decided_map(
     word(other, "wants label")
     page.keyboard.press("Shift+Enter")
     wait_for(page, lambda: "4 of 5" in page.inner_text("#change-done"), "all decided")
+    with page.expect_download() as download:
+        page.click("#changes-json")
+    exported = json.loads(download.value.path().read_text())
+    answers = {row["name"]: row["answer"] for row in exported["changes"]}
+    assert (answers[gone(town)], answers[other], len(answers)) == ("keep", "label", 5)
     page.fill("#next-map", "main")
     page.click("#write-map")
     wait_for(page, lambda: "exists already" in page.inner_text("#notice"), "the refusal")

@@ -106,5 +106,58 @@ CAUSES: dict[FaultKind, Callable[[Given, np.random.Generator], Given]] = {
 }
 
 
+def _distorted(given: Given, rng: np.random.Generator) -> Given:
+    """A lens whose distortion nobody removed: 10 to 25 % at 45 deg beside the axis."""
+    share = _signed(rng, 0.1, 0.25)
+    return _with_pixels(given, lambda x: x * (1.0 + share * (x**2).sum(axis=1, keepdims=True)))
+
+
+def _rolling(given: Given, rng: np.random.Generator) -> Given:
+    """A rolling shutter in a curve: lower rows are later."""
+    shear = np.array([[1.0, _signed(rng, 0.1, 0.3)], [0.0, 1.0]])
+    return _with_pixels(given, lambda x: x @ shear.T)
+
+
+def _mirrored(given: Given, rng: np.random.Generator) -> Given:
+    return _with_pixels(given, lambda x: x * [-1.0, 1.0])
+
+
+def _resized(given: Given, rng: np.random.Generator) -> Given:
+    """An image that is smaller or larger than the calibration states."""
+    factor = 1.0 + _signed(rng, 0.1, 0.25)
+    return _with_pixels(given, lambda x: factor * x)
+
+
+def _with_pixels(given: Given, moved: Callable[[np.ndarray], np.ndarray]) -> Given:
+    """With points moved in the image plane at unit distance (n, 2)."""
+    K, observed = given.camera.K, given.observed
+    anchor_px, end_px = (
+        moved((points - K[:2, 2]) / K[0, 0]) * K[0, 0] + K[:2, 2]
+        for points in (observed.anchor_px, observed.end_px)
+    )
+    return replace(given, observed=replace(observed, anchor_px=anchor_px, end_px=end_px))
+
+
+UNKNOWN: dict[str, Callable[[Given, np.random.Generator], Given]] = {
+    "lens distortion": _distorted,
+    "rolling shutter": _rolling,
+    "mirrored image": _mirrored,
+    "resized image": _resized,
+}
+"""Faults for which the diagnosis has no kind: "unexplained" is right if the frame fails."""
+
+
+def plant_unknown(name: str, seed: int, road: BenchmarkRoad) -> Planted | None:
+    """A frame that fails by a fault of no kind; None if it is not healthy without, or is with."""
+    level = replace(WHOLE, false_detections=0.0)
+    problem = make_problem(seed, level, road)
+    given = Given.of(problem, mapped_elements(road, seed, level))
+    if not problem.is_valid or not localized_with("healthy", given).is_healthy:
+        return None
+    changed = UNKNOWN[name](given, np.random.default_rng([seed, 11]))
+    planted = localized_with("unexplained", changed)
+    return None if planted.is_healthy else planted
+
+
 def _signed(rng: np.random.Generator, least: float, most: float) -> float:
     return float(rng.uniform(least, most) * rng.choice([-1.0, 1.0]))

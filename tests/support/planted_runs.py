@@ -4,12 +4,14 @@ Frames a few metres apart share a world and its map. The element that is moved, 
 twice is the one most frames see, four or more.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from semviz_core.base.elements import Elements3D
+from semviz_core.base.frame import Odometry, OdometryNoise
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose, angle_between
 from semviz_core.base.semantic_map import SemanticMap
@@ -23,6 +25,8 @@ FRAMES = 10
 STEP = 3
 """Poses of the road from frame to frame: metres."""
 LEAST_SEEN = 4
+ODOMETRY_FAULTS = ((0, 0.03, 0.1), (1, float(np.deg2rad(0.3)), float(np.deg2rad(1.0))))
+"""Length 3 to 10 % off, or yaw 0.3 to 1 deg at each step."""
 OF_POSES: tuple[FaultKind, ...] = ("misaligned map", "wrong extrinsic", "time offset")
 
 
@@ -35,6 +39,8 @@ class PlantedRun:
     semantic_map: SemanticMap
     elements: tuple[int, ...] = ()
     """Ids of which one must be named with the fault; empty where it has none."""
+    odometry: tuple[Odometry | None, ...] = ()
+    """The motion of each frame from the one before."""
 
 
 def plant_in_run(
@@ -52,12 +58,32 @@ def plant_in_run(
     if not len(ids) or times.max() < LEAST_SEEN:
         return None
     element = int(ids[np.argmax(times)])
-    if fault == "healthy":
-        return _localized(fault, frames)
+    named: tuple[int, ...] = ()
+    odometry = _odometry(frames, seed, ODOMETRY_FAULTS if fault == "wrong odometry" else ())
     if fault in _WHOLE:
-        return _localized(fault, _WHOLE[fault](frames, rng))
-    changed, named = _FAULTS[fault](elements, element, rng)
-    return _localized(fault, [replace(frame, elements=changed) for frame in frames], (named,))
+        frames = _WHOLE[fault](frames, rng)
+    elif fault in _FAULTS:
+        changed, *named_ids = _FAULTS[fault](elements, element, rng)
+        frames, named = [replace(frame, elements=changed) for frame in frames], tuple(named_ids)
+    return replace(_localized(fault, frames, named), odometry=odometry)
+
+
+def _odometry(
+    frames: list[Given], seed: int, faults: Sequence[tuple[int, float, float]]
+) -> tuple[Odometry | None, ...]:
+    """Odometry with 1 % and 0.1 deg noise, as it states, and one of ``faults``."""
+    rng, noise, off = np.random.default_rng([seed, 12]), OdometryNoise(), np.zeros(2)
+    if faults:
+        kind, least, most = faults[int(rng.integers(len(faults)))]
+        off[kind] = rng.uniform(least, most) * rng.choice([-1.0, 1.0])
+    steps: list[Odometry | None] = [None]
+    for before, now in pairwise(frame.T_camera_map for frame in frames):
+        step = noise.measure(now @ before.inverse(), rng)
+        moved = step.T_now_before
+        turn = Pose.from_rotvec(np.array([0.0, off[1], 0.0]), np.zeros(3))
+        longer = Pose(moved.rotation, (1.0 + off[0]) * moved.translation)
+        steps.append(Odometry(turn @ longer, step.covariance))
+    return tuple(steps)
 
 
 def _start(road: BenchmarkRoad, count: int, rng: np.random.Generator, turning: bool) -> int:

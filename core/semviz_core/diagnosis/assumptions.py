@@ -162,12 +162,16 @@ def assumption_faults(case: FrameReference) -> tuple[Fault, ...]:
     """Return the assumptions that disagree with the reference, the worst first."""
     if case.reference is None:
         return ()
+    sigma = sigma_fault(case, case.localization)
+    return (*prior_faults(case), *([] if sigma is None else [sigma]))
+
+
+def prior_faults(case: FrameReference) -> tuple[Fault, ...]:
+    """Return the parts of the prior that disagree with the reference, the worst first."""
     tests = [_prior_test(part, case) for part in _given_parts(case)]
     far = [test for test in tests if test.is_fault]
     far.sort(key=lambda test: -test.excess)
-    faults = [test.fault for test in far]
-    sigma = sigma_fault(case, case.localization)
-    return (*faults, *([] if sigma is None else [sigma]))
+    return tuple(test.fault for test in far)
 
 
 def position_fault(case: FrameReference) -> Fault | None:

@@ -30,6 +30,7 @@ FaultKind = Literal[
     "misaligned map",
     "time offset",
     "wrong extrinsic",
+    "wrong odometry",
     "wrong matches",
     "search miss",
     "refinement diverged",

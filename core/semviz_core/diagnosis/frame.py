@@ -3,15 +3,10 @@
 The checks, in order: enough detections, elements in the submap, correct pairs possible and
 preferred, true pose found by the search, refined to the right pose, determined by the geometry.
 Each check returns its fault or None, and uses the ground truth where it is known.
-
-The confidence of a diagnosis is the share of its kind that was right on planted faults, by
-Laplace's rule. The diagnosis bench prints it for seeds below 1000, with every kind planted
-equally often. Where a fault is rarer in practice, wrong diagnoses of it are more frequent.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import get_args
 
 import numpy as np
 
@@ -21,6 +16,7 @@ from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.diagnosis import assumptions
 from semviz_core.diagnosis.checks import find_faults, sound_pairs
+from semviz_core.diagnosis.confidence import CONFIDENCE
 from semviz_core.diagnosis.fault import (
     EvidenceItem,
     Fault,
@@ -48,6 +44,8 @@ MUCH_CLUTTER = 0.5
 """Share of faulty rows that is harmful even if none of them is among the inliers."""
 UNMATCHED: FaultKind = "false or not mapped"
 """Costs a pair if the detection is real; no failure if enough other pairs remain."""
+MANY_OFF, MOST_OFF = 3, 0.5
+"""From so many detections and more than this share that do not fit, faults are not their own."""
 COSTS_A_PAIR: tuple[FaultKind, ...] = (
     "wrong class", "moved in the map", "missing in the map", UNMATCHED,
 )  # fmt: skip
@@ -107,6 +105,8 @@ def check_candidate_pairs(case: FrameReference, faults: Sequence[Fault]) -> Faul
     sound = len(sound_pairs(case))
     if sound < NEEDED_ELEMENTS and sound + len(costly) < NEEDED_ELEMENTS and case.truth is not None:
         return _too_few(case, sound)
+    if len(costly) >= MANY_OFF and len(costly) > MOST_OFF * len(case.localization.observed):
+        return _most_are_off(case, len(costly))
     blamed = [fault for fault in costly if sound < NEEDED_ELEMENTS or fault.kind != UNMATCHED]
     if blamed:
         return blamed[0]
@@ -118,6 +118,15 @@ def check_candidate_pairs(case: FrameReference, faults: Sequence[Fault]) -> Faul
         if fault.kind == "twice in the map" or cluttered or rows & set(fault.rows)
     ]  # fmt: skip
     return harmful[0] if harmful else None
+
+
+def _most_are_off(case: FrameReference, off: int) -> Fault:
+    """Return what is said of more faults than single elements and detections have."""
+    sentence = (
+        f"{off} of {len(case.localization.observed)} detections do not fit the map, and no single "
+        "cause explains them: the lens, the calibration, the image or the map is another one."
+    )
+    return Fault("unexplained", sentence, (EvidenceItem("off", off),))
 
 
 def check_association(case: FrameReference) -> Fault | None:
@@ -278,63 +287,6 @@ def _prior_off_m(case: FrameReference) -> float:
     assert case.reference is not None
     center_m = case.reference.inverse().translation
     return float(np.linalg.norm((case.prior.position_m - center_m)[:2]))
-
-
-UNMEASURED = 0.5
-"""Confidence of kinds that are never planted in single frames."""
-_WITH_IDS: dict[FaultKind, float] = {
-    "healthy": 0.99,
-    "too few elements": 0.99,
-    "missed detection": 0.99,
-    "false detection": 0.99,
-    "wrong class": 0.99,
-    "not in the submap": 0.99,
-    "moved in the map": 0.99,
-    "missing in the map": 0.99,
-    "twice in the map": 0.99,
-    "wrong matches": 0.99,
-    "search miss": 0.96,
-    "refinement diverged": 0.99,
-    "ambiguous geometry": 0.98,
-    "wrong heading prior": 0.98,
-    "wrong gravity prior": 0.98,
-    "wrong height prior": 0.98,
-    "wrong position prior": 0.98,
-    "wrong detection sigma": 0.97,
-    "misaligned map": 0.98,
-}
-_WITH_POSE: dict[FaultKind, float] = _WITH_IDS | {
-    "healthy": 0.98,
-    "false or not mapped": 0.99,
-    "moved in the map": 0.51,
-    "ambiguous geometry": 0.89,
-}
-_BLIND: dict[FaultKind, float] = {
-    "healthy": 0.98,
-    "too few elements": 0.87,
-    "missed detection": 0.82,
-    "wrong class": 0.98,
-    "false or not mapped": 0.88,
-    "not in the submap": 0.98,
-    "moved in the map": 0.41,
-    "twice in the map": 0.98,
-    "wrong matches": 0.97,
-    "search miss": 0.97,
-    "refinement diverged": 0.93,
-    "ambiguous geometry": 0.78,
-    "wrong heading prior": 0.98,
-    "wrong gravity prior": 0.98,
-    "wrong height prior": 0.93,
-    "wrong position prior": 0.98,
-    "wrong detection sigma": 0.92,
-    "unexplained": 0.25,
-}
-CONFIDENCE: dict[GroundTruthLevel, dict[FaultKind, float]] = {
-    knowledge: {kind: shares.get(kind, UNMEASURED) for kind in get_args(FaultKind)}
-    for knowledge, shares in zip(
-        get_args(GroundTruthLevel), (_WITH_IDS, _WITH_POSE, _BLIND), strict=True
-    )
-}
 
 
 def diagnose_frame(

@@ -53,7 +53,14 @@ def sigma_fault(case: FrameReference, localization: Localization) -> Fault | Non
     A map that is shifted as a whole is no fault of the sigmas. ``localization`` gives the pose if
     the true one is unknown.
     """
-    scale, nats = _sigma_scale(case, localization)
+    gain = sigma_gains(case, localization)
+    return None if gain is None else likeliest_sigma_fault(gain)
+
+
+def likeliest_sigma_fault(gain: FloatArray) -> Fault | None:
+    """Return the fault of sigmas that ``sigma_gains`` of one or more frames tell."""
+    best = int(np.argmax(gain.sum(axis=1)))
+    scale, nats = float(SCALES[best]), float(gain[best].sum() - gain[best].max())
     if scale < LEAST_SCALE or nats < LEAST_NATS:
         return None
     return Fault(
@@ -66,24 +73,26 @@ def sigma_fault(case: FrameReference, localization: Localization) -> Fault | Non
     )
 
 
-def _sigma_scale(case: FrameReference, localization: Localization) -> tuple[float, float]:
-    """Return the likeliest of ``SCALES``, and its log-likelihood ratio without the pair that it
-    helps most."""
+def sigma_gains(case: FrameReference, localization: Localization) -> FloatArray | None:
+    """Return what each of ``SCALES`` adds to the log-likelihood of each pair (s, k).
+
+    None without pairs, or if too few of them fit with the likeliest scale.
+    """
     image = misalignment(case)
     pose = image.T_camera_map if image else case.truth or localization.T_camera_map
     if pose is None:
-        return 1.0, 0.0
+        return None
     free = 0.0 if image is None and case.truth is not None else FREE_PARAMETERS
     mapped = localization.submap if case.truth is None else case.nearby
     pairs = case.same_class if case.ids is not None else _wide_pairs(case, mapped, pose)
     if len(pairs) < 2:
-        return 1.0, 0.0
+        return None
     table = _log_likelihoods(pair_errors(_problem(case, mapped, 1.0), pose, pairs), free)
-    gain = table - table[0]
-    best = int(np.argmax(gain.sum(axis=1)))
-    if _fit_share(case, mapped, pose, pairs, float(SCALES[best])) < LEAST_SIGMA_FIT:
-        return 1.0, 0.0  # what is off by many sigmas is no pair
-    return float(SCALES[best]), float(gain[best].sum() - gain[best].max())
+    gain = np.asarray(table - table[0])
+    best = float(SCALES[np.argmax(gain.sum(axis=1))])
+    if _fit_share(case, mapped, pose, pairs, best) < LEAST_SIGMA_FIT:
+        return None  # what is off by many sigmas is no pair
+    return gain
 
 
 def _fit_share(

@@ -11,13 +11,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from semviz_core.base.detector_model import DetectorModel
+from semviz_core.base.frame import Odometry
 from semviz_core.base.localization import Localization
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.diagnosis import run_causes
+from semviz_core.diagnosis.cause_fits import common_cause
 from semviz_core.diagnosis.checks import find_faults
+from semviz_core.diagnosis.common_causes import CALIBRATIONS
 from semviz_core.diagnosis.fault import EvidenceItem, Fault, FaultKind, GroundTruth, RunFault
 from semviz_core.diagnosis.frame_causes import with_sigma_scaled
+from semviz_core.diagnosis.odometry import odometry_fault
 from semviz_core.diagnosis.reference import FrameReference, ProgressCallback, no_progress
 
 NEEDED_FRAMES = 3
@@ -117,8 +121,6 @@ UNMATCHED_KINDS: tuple[FaultKind, ...] = ("moved in the map", "false or not mapp
 """Faults of unmatched detections in single frames without known ids."""
 MOVED_M = 10.0
 """A landmark further than this from an undetected element is another one."""
-CLEARLY = 0.8
-"""Share of the remaining squared residuals below which one explanation is clearly better."""
 OF_CALIBRATION: tuple[FaultKind, ...] = ("wrong detection sigma", "wrong gravity prior")
 """What a wrong calibration looks like in single frames."""
 LEAST_SHARE = 0.5
@@ -129,13 +131,13 @@ LEAST_SHARE = 0.5
 class RunDiagnosis:
     """Faults of all elements together, of the camera, and of single elements."""
 
-    calibration: Fault | None
+    calibration: RunFault | None
     elements: tuple[RunFault, ...]
     """By falling number of frames. Empty if the calibration is wrong: then no element fits."""
     frames: int
     """Number of frames with a pose to compare with."""
     causes: tuple[RunFault, ...] = ()
-    """Wrong priors and sigmas, and a map that is shifted as a whole."""
+    """Wrong priors, sigmas and odometry, and what shifts all elements together."""
 
 
 def diagnose_run(
@@ -143,10 +145,12 @@ def diagnose_run(
     semantic_map: SemanticMap,
     detector: DetectorModel | None = None,
     watch: ProgressCallback = no_progress,
+    odometry: Sequence[Odometry | None] | None = None,
 ) -> RunDiagnosis:
     """Return the recurring faults of a run.
 
-    Frames without ground truth count if their status is ok.
+    Frames without ground truth count if their status is ok. ``odometry`` is the measured motion of
+    each frame from the one before.
     """
     cases = [
         FrameReference.of(localization, semantic_map, truth, detector)
@@ -158,13 +162,20 @@ def diagnose_run(
         if case.truth is not None or case.localization.status == "ok"
     ]
     compared = [cases[position] for position in positions]
-    alignment, calibration = _geometric_cause(compared, watch)
-    if alignment is not None:
-        compared = alignment.corrected(compared)
-        cases = _replaced(cases, positions, compared)
-    causes = run_causes.assumption_run_faults(cases, watch)
-    if alignment is not None:
-        causes.insert(0, _at(alignment.fault, positions))
+    calibration: RunFault | None = None
+    found = common_cause(compared, watch)
+    causes: list[RunFault] = []
+    if found is not None:
+        fault = _at(run_causes.cause_fault(*found, watch), positions)
+        if found[0].fit.cause in CALIBRATIONS:
+            calibration = fault
+        else:
+            causes.append(fault)
+            compared = [found[0].fit.corrected(row) for row in range(len(compared))]
+            cases = _replaced(cases, positions, compared)
+    causes += run_causes.assumption_run_faults(cases, watch)
+    moved = None if odometry is None else odometry_fault(cases, odometry)
+    causes += [] if moved is None else [moved]
     if calibration is not None:  # it explains large residuals, and a camera that is rolled
         causes = [cause for cause in causes if cause.kind not in OF_CALIBRATION]
     for cause in causes:
@@ -185,24 +196,6 @@ def _replaced(
 ) -> list[FrameReference]:
     by_position = dict(zip(positions, others, strict=True))
     return [by_position.get(position, case) for position, case in enumerate(cases)]
-
-
-def _geometric_cause(
-    cases: Sequence[FrameReference], watch: ProgressCallback
-) -> tuple[run_causes.Alignment | None, Fault | None]:
-    """Return the alignment or the calibration that is wrong.
-
-    Of both, the calibration, which is one number, unless the alignment explains clearly more.
-    """
-    alignment, calibration = (
-        run_causes.find_alignment(cases),
-        run_causes.find_calibration(cases, watch),
-    )
-    if alignment is None or calibration is None:
-        return alignment, None if calibration is None else calibration.fault
-    if run_causes.residual_cost(alignment.corrected(cases)) < CLEARLY * calibration.cost:
-        return alignment, None
-    return None, calibration.fault
 
 
 def _element_faults(

@@ -11,7 +11,7 @@ import { statusMark } from "/static/glyphs.js";
 export class WhyCard {
   /** @param {FrameView} frame */
   showFrame(frame) {
-    const { title, sentence, confidence, rows, times_ms: times, poses_tried: evaluated } = frame.card;
+    const { title, sentence, confidence, tells_apart: tellsApart, rows, times_ms: times, poses_tried: evaluated } = frame.card;
     const costs = times.map(([stage, ms]) => `${stage} ${fixed(ms, 1)} ms`);
     if (evaluated !== null) costs.push(`${evaluated} poses evaluated`);
     const basis = frame.has_truth ? "with ground truth" : "without ground truth";
@@ -22,6 +22,7 @@ export class WhyCard {
         el("h3", {}, statusMark(frame.overconfident ? "cannot" : frame.status), title),
         el("span", { class: "about", id: "why-truth", text: about })),
       el("p", { class: "sentence" }, ...unbroken(sentence)),
+      ...(tellsApart ? [el("p", { class: "tells-apart", id: "why-tells-apart", text: tellsApart })] : []),
       el("dl", {}, ...numbers.map(([label, value]) => el("div", {}, el("dt", { text: label }), el("dd", { text: value })))),
       el("div", { class: "actions", id: "why-actions" }),
       ...(costs.length ? [el("div", { class: "times" }, ...costs.map((text) => el("span", { text })))] : []));

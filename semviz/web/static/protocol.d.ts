@@ -1679,6 +1679,7 @@ export interface DiagnosisCard {
   title: string;
   sentence: string;
   confidence: number | null;
+  tells_apart: string;
   implicated: Array<string>;
   rows: Array<[string, string]>;
   alternatives: Array<OtherPose>;

@@ -160,7 +160,7 @@ def find_changes(
     extra = candidates(passes, semantic_map, labels, on_progress)
     whole = joined(semantic_map.elements, extra)
     both = replace(semantic_map, elements=whole, provenance=(), attributes={})
-    evidence = evidence_of(passes, both)
+    evidence = evidence_of(passes, both, len(extra))
     is_mapped = np.arange(len(whole)) < len(semantic_map)
     change = change_between([one.start_s for one in passes])
     found = existence_of(evidence.counts, is_mapped, change)

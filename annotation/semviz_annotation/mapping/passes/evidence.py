@@ -12,10 +12,13 @@ from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.frame import Frame
 from semviz_core.base.localization import Localization
 from semviz_core.base.semantic_map import SemanticMap
-from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.diagnosis.reference import FrameReference
+from semviz_core.localization.association import all_gains
 
 _SCALE_RANGE = (0.3, 1.5)
+UNCLEAR_NATS = 3.0
+"""A detection says nothing of two elements that explain it up to this log-likelihood ratio."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +53,11 @@ class Evidence(NamedTuple):
     """(n, p) position of the nearest frame that has it in view without detecting it; or -1."""
 
 
-def evidence_of(passes: Sequence[Pass], semantic_map: SemanticMap) -> Evidence:
-    """Return what the passes saw of the elements of the map (n).
+def evidence_of(passes: Sequence[Pass], semantic_map: SemanticMap, candidates: int = 0) -> Evidence:
+    """Return what the passes saw of the elements of the map (n), of which the last are candidates.
+
+    A detection that an element and a candidate explain about equally well tells of neither: from
+    far away, an element that moved along the view looks as if it still stood.
 
     Detections that are expected follow from each detector's rates, scaled to how often the pass
     detects the elements that it sees at all.
@@ -67,7 +73,9 @@ def evidence_of(passes: Sequence[Pass], semantic_map: SemanticMap) -> Evidence:
             rows = np.array([row_of[int(id_)] for id_ in case.nearby.id], np.int64)
             detected = np.zeros(len(rows), np.bool_)
             detected[case.same_class[:, 1]] = True
-            shown, away_m = case.in_view | detected, _away_m(case)
+            clear = ~_unclear(case, rows >= n - candidates)
+            detected &= clear
+            shown, away_m = (case.in_view & clear) | detected, _away_m(case)
             chances[rows, column] += shown
             seen[rows, column] += detected
             expected[rows, column] += np.where(shown, _recall(away_m, one.detector), 0.0)
@@ -98,6 +106,23 @@ def unexplained(result: Localization, semantic_map: SemanticMap, model: Detector
     """Return the rows of the detections of a sure frame that no element of the map explains."""
     case = FrameReference.of(result, semantic_map, None, model)
     return np.setdiff1d(np.arange(len(result.observed)), case.same_class[:, 0])
+
+
+def _unclear(case: FrameReference, is_candidate: BoolArray) -> BoolArray:
+    """Return which nearby elements (n,) share a detection with one of the other kind."""
+    unclear = np.zeros(len(is_candidate), np.bool_)
+    if not is_candidate.any():
+        return unclear
+    assert case.reference is not None
+    gain = all_gains(case.problem, *case.reference.writable())
+    free = np.ones(len(is_candidate), np.bool_)
+    free[case.same_class[:, 1]] = False
+    for i, j in case.same_class:
+        other = free & (is_candidate != is_candidate[j]) & np.isfinite(gain[i])
+        rivals = other & (gain[i] > gain[i, j] - UNCLEAR_NATS)
+        unclear |= rivals
+        unclear[j] |= rivals.any()
+    return unclear
 
 
 def _away_m(case: FrameReference) -> FloatArray:

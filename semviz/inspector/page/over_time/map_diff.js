@@ -37,7 +37,7 @@ export class MapDiff {
     const stay = (found?.elements ?? 0) - lines.filter(({ mark }) => "-~".includes(mark)).length;
     fill(byId("diff-lines"), lines.map(({ mark, text }) => el("div", { class: KIND_OF[mark] }, `${mark} ${text}`)));
     if (lines.length) byId("diff-lines").append(el("div", { class: "kept" }, `  ${stay.toLocaleString("en")} elements as they are`));
-    byId("diff-about").textContent = lines.length ? `${lines.length} decided` : "nothing decided yet";
+    byId("diff-about").textContent = lines.length ? `${lines.length} decided` : "none decided";
     byId("diff-note").textContent = note;
     byId("write-map", HTMLButtonElement).disabled = !changed || !canDecide;
     byId("next-map-form").hidden = !canDecide;

@@ -129,6 +129,7 @@ export class OverTime {
     fill(byId("runs-left-out"), reasons);
     byId("passes-left-out").textContent = leftOut.length ? `${leftOut.length} ${leftOut.length === 1 ? "run" : "runs"} left out` : "";
     byId("passes-left-out").title = leftOut.map(({ run, reason }) => `${run}: ${reason}`).join("\n");
+    byId("changes-json", HTMLAnchorElement).href = `map-changes.json?${new URLSearchParams({ run: this.page.store.run.name })}`;
     byId("over-time-hint").hidden = !isOver || found !== null;
     byId("over-time-about").textContent = found ? about(found.passes, found.elements) : "";
     const say = () => { byId("over-time-progress").textContent = sentence(isOver ? progress : `${progress}${seconds(this.since)}`); };

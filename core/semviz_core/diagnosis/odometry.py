@@ -1,0 +1,194 @@
+"""Test the odometry of a run against the poses that its images support.
+
+Over stretches of several steps, the odometry's motion is compared with that between the poses at
+both ends: the true ones, or those of frames localized without it. An error of the scale or of the
+yaw rate is common to all stretches; else the stated noise may be too small. The strongest is named.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from semviz_core.base.frame import Odometry, adjoint
+from semviz_core.base.pose import Pose
+from semviz_core.common.arrays import FloatArray
+from semviz_core.diagnosis.assumptions import solve_with_prior
+from semviz_core.diagnosis.fault import EvidenceItem, RunFault
+from semviz_core.diagnosis.reference import FrameReference, is_healthy
+
+NEEDED_STRETCHES = 5
+MOST_STEPS = 10
+"""Of a stretch; long ones show a drift better than the noise of poses hides it."""
+TRUE_POSE_SIGMA: FloatArray = np.repeat([0.02, float(np.deg2rad(0.02))], 3)
+"""Accuracy of true poses over a stretch: metres, then radians."""
+LEAST_NATS = 12.0
+LEAST_SIGMAS = 1.0
+"""Smallest drift that is a fault, in stated sigmas of one step."""
+LEAST_NOISE = 3.0
+"""Smallest factor between true and stated noise that is a fault."""
+MEDIAN_CHI2 = 5.348
+"""Of six degrees of freedom."""
+OFF_CHI2 = 27.9
+"""Chance exceeds it once in 10,000 stretches."""
+TRACKED = "track"
+DRIFTS = (("length", "%", 100.0), ("yaw", "deg per step", float(np.rad2deg(1.0))))
+"""Name, unit, and the factor from share and radians."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Stretch:
+    """Odometry over some steps, and how it differs from the poses at its ends."""
+
+    first: int
+    last: int
+    """Positions in the run."""
+    innovation: FloatArray
+    """(6,) log of the odometry's motion times the inverse of the true one."""
+    covariance: FloatArray
+    """(6, 6) of ``innovation`` if the odometry is right."""
+    drifts: FloatArray
+    """(6, 2) change of ``innovation`` with the length and with the yaw of all steps."""
+    step_sigmas: FloatArray
+    """(2,) stated sigmas of one step: share of its length, and radians."""
+
+    @property
+    def chi2(self) -> float:
+        return float(self.innovation @ np.linalg.solve(self.covariance, self.innovation))
+
+
+def odometry_fault(
+    cases: Sequence[FrameReference], odometry: Sequence[Odometry | None]
+) -> RunFault | None:
+    """Return the fault of the odometry; None without one, or if too little of it is known.
+
+    ``odometry`` has the motion of each frame from the one before.
+    """
+    stretches = _stretches(cases, odometry)
+    if len(stretches) < NEEDED_STRETCHES:
+        return None
+    drift = _drift(stretches)
+    noise = float(np.sqrt(np.median([stretch.chi2 for stretch in stretches]) / MEDIAN_CHI2))
+    if drift is None and noise < LEAST_NOISE:
+        return None
+    sentence, evidence = drift or (
+        f"its errors are {noise:.1f} times larger than it states",
+        EvidenceItem("true over stated noise", noise),
+    )
+    off = [stretch for stretch in stretches if stretch.chi2 > OFF_CHI2] or stretches
+    frames = {row for stretch in off for row in range(stretch.first, stretch.last + 1)}
+    return RunFault(
+        "wrong odometry",
+        f"Over {len(stretches)} stretches, the odometry disagrees with the images: {sentence}.",
+        (EvidenceItem("stretches", len(stretches)), evidence),
+        frames=tuple(row for row in sorted(frames) if _is_explained(cases[row])),
+    )
+
+
+def _drift(stretches: Sequence[_Stretch]) -> tuple[str, EvidenceItem] | None:
+    """Return the drift that all stretches have in common, as a sentence and as a number."""
+    best: tuple[float, str, EvidenceItem] | None = None
+    for k, (name, unit, factor) in enumerate(DRIFTS):
+        rows = [_whitened(stretch, k) for stretch in stretches]
+        A, b = np.concatenate([a for a, _ in rows]), np.concatenate([b for _, b in rows])
+        value = float(A @ b / max(float(A @ A), 1e-12))
+        nats = 0.5 * float((b**2).sum() - ((b - A * value) ** 2).sum())
+        step_sigma = float(np.median([stretch.step_sigmas[k] for stretch in stretches]))
+        if nats < LEAST_NATS or abs(value) < LEAST_SIGMAS * step_sigma:
+            continue
+        if best is None or nats > best[0]:
+            item = EvidenceItem(name, value * factor, unit)
+            best = nats, _drift_sentence(k, value * factor), item
+    return None if best is None else best[1:]
+
+
+def _drift_sentence(k: int, size: float) -> str:
+    if k == 0:
+        return f"it is {abs(size):.1f} % too {'long' if size > 0.0 else 'short'}"
+    return f"it turns {abs(size):.2f} deg per step too far {'right' if size > 0.0 else 'left'}"
+
+
+def _whitened(stretch: _Stretch, k: int) -> tuple[FloatArray, FloatArray]:
+    factor = np.linalg.cholesky(stretch.covariance)
+    return (
+        np.linalg.solve(factor, stretch.drifts[:, k]),
+        np.linalg.solve(factor, stretch.innovation),
+    )
+
+
+def _stretches(
+    cases: Sequence[FrameReference], odometry: Sequence[Odometry | None]
+) -> list[_Stretch]:
+    """Return stretches one after the other, between frames with a pose of their own."""
+    steps = int(np.clip((len(cases) - 1) // (2 * NEEDED_STRETCHES), 1, MOST_STEPS))
+    stretches: list[_Stretch] = []
+    start: tuple[int, Pose, FloatArray] | None = None
+    motion: list[Odometry] = []
+    for row, (case, step) in enumerate(zip(cases, odometry, strict=True)):
+        if step is None:
+            start, motion = None, []
+        else:
+            motion.append(step)
+        if start is not None and row - start[0] < steps:
+            continue
+        if (end := _own_pose(case)) is None:
+            continue
+        if start is not None:
+            stretches.append(_stretch(start, (row, *end), motion))
+        start, motion = (row, *end), []
+    return stretches
+
+
+def _own_pose(case: FrameReference) -> tuple[Pose, FloatArray] | None:
+    """Return T_camera_map and its covariance (6, 6): the true pose, or that of the image alone."""
+    if case.truth is not None:
+        return case.truth, np.diag(TRUE_POSE_SIGMA**2)
+    result = case.localization
+    if result.method == TRACKED:  # its pose follows the odometry
+        if result.prior is None:
+            return None
+        result = solve_with_prior(case, result.prior)
+    if result.status != "ok" or result.T_camera_map is None or result.covariance is None:
+        return None
+    return result.T_camera_map, result.covariance
+
+
+def _stretch(
+    start: tuple[int, Pose, FloatArray],
+    end: tuple[int, Pose, FloatArray],
+    motion: Sequence[Odometry],
+) -> _Stretch:
+    measured = motion[0]
+    for step in motion[1:]:
+        measured = measured.followed_by(step)
+    true = end[1] @ start[1].inverse()
+    by_start = adjoint(true)
+    covariance = measured.covariance + end[2] + by_start @ start[2] @ by_start.T
+    drifts, T_end_now = np.zeros((6, 2)), Pose.identity()
+    for step in reversed(motion):
+        A, translation = adjoint(T_end_now), step.T_now_before.translation
+        drifts[:, 0] += A[:, :3] @ translation
+        drifts[:, 1] += A[:, 4]  # about the camera's y, which points down
+        T_end_now = T_end_now @ step.T_now_before
+    innovation = (measured.T_now_before @ true.inverse()).log()
+    return _Stretch(start[0], end[0], innovation, covariance, drifts, _step_sigmas(motion))
+
+
+def _step_sigmas(motion: Sequence[Odometry]) -> FloatArray:
+    """Return the stated sigmas (2,) of a step: share of its length, and rotation about y."""
+    length_m = sum(float(np.linalg.norm(step.T_now_before.translation)) for step in motion)
+    variance = np.mean([np.diag(step.covariance) for step in motion], axis=0)
+    share = float(np.sqrt(variance[:3].mean())) * len(motion) / max(length_m, 1e-3)
+    return np.array([share, float(np.sqrt(variance[4]))])
+
+
+def _is_explained(case: FrameReference) -> bool:
+    """Whether a frame is healthy, or would be without its odometry: solved alone."""
+    if is_healthy(case.localization, case.truth):
+        return True
+    prior = case.localization.prior
+    return (
+        case.localization.method == TRACKED
+        and prior is not None
+        and is_healthy(solve_with_prior(case, prior), case.truth)
+    )
