@@ -67,6 +67,7 @@ BY_COMMANDS = {
     "benchmark-cumulative.png": "semviz benchmark",
     "paper-20m-histogram.png": "semviz benchmark --suite paper-20m",
     "detector-calibration.png": "bench/subpixel.py --planted --plot",
+    "diagnosis-reliability.png": "bench/diagnosis_reliability.py --picture",
     "localizability-check.png": "bench/localizability.py --plot",
 }
 """Plots of long measurements, by the command that the page beside them names."""

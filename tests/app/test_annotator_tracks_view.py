@@ -174,6 +174,13 @@ def test_resnap_moves_what_was_accepted_and_not_what_a_person_drew(
     undo(page, served, before)
 
 
+ALL_SEARCHED = """() => {
+  const [first, last] = semviz.tracks.frames;
+  const found = semviz.tracks.actions.proposals;
+  return found && found.first <= first && found.last >= last;
+}"""
+
+
 def test_all_sure_ones_of_a_range_are_accepted_and_weak_ones_stay(
     page: "Page", served: Served
 ) -> None:
@@ -188,7 +195,7 @@ def test_all_sure_ones_of_a_range_are_accepted_and_weak_ones_stay(
             continue
         element = choose(page, row["name"], min(row["places"]))
         widen(page, max(row["places"]) - min(row["places"]))
-        page.wait_for_function("() => semviz.tracks.actions.proposals", timeout=WAIT_MS)
+        page.wait_for_function(ALL_SEARCHED, timeout=WAIT_MS)
         sure: int = page.evaluate(
             "() => semviz.tracks.actions.proposals.proposals.filter((x) => x.is_confident).length"
         )
