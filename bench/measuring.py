@@ -1,20 +1,20 @@
 """How well ends of poles and signs are measured: on rendered streets and on labelled real images.
 
-    python bench/measuring.py                             rendered streets
-    python bench/measuring.py --kitti /data/kitti --model espnet.toml
+    OMP_NUM_THREADS=1 python bench/measuring.py                             rendered streets
+    OMP_NUM_THREADS=1 python bench/measuring.py --kitti /data/kitti --model espnet.toml
 
 Streets are held out. Their regions are a segmenter's masks that end early, the same with leaves
 before ends, masks of what is no sign, and those of the shipped network. Real images are those of
-KITTI odometry 02, frames 0 to 19, left and right, with the labels of docs/kitti02. To compare two
-versions of semviz, run it with each.
+KITTI odometry 02, frames 0 to 19, left and right, with the labels of docs/kitti02; their detections
+are linked, too. Times are processor time. To compare two versions of semviz, run it with each.
 """
 
 import argparse
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from time import process_time
+from time import thread_time
 from typing import NamedTuple
 
 import cv2
@@ -23,9 +23,16 @@ from subpixel_regions import false_masks, masked_in_part, overgrown, shown
 
 from semviz.research.detector_evaluation import labelled_images
 from semviz.workspace.workspace import Workspace
+from semviz_annotation.labels.detections import as_proposals
+from semviz_annotation.labels.labels import Labels
+from semviz_annotation.labels.proposal import Proposal
+from semviz_annotation.labels.proposals import Proposals
+from semviz_annotation.mapping.association.detection_tracks import TrackOptions, detection_labels
+from semviz_annotation.mapping.association.merging import LinkOptions
 from semviz_annotation.storage.backup import import_operations
 from semviz_core.base.elements import Elements2D
 from semviz_core.common.arrays import BoolArray, FloatArray
+from semviz_core.common.jit import Result, Stopwatch
 from semviz_core.detection.detector import RegionModel, load_region_model, measure
 from semviz_core.detection.regions import Region
 from semviz_core.metrics.detection import HELD_OUT_SEED, ImageGroundTruth, match_detections
@@ -36,19 +43,28 @@ FAR_PX = 10.0
 REACH_M = 200.0
 
 
+class ProcessorWatch(Stopwatch):
+    """Processor time of stages, of one thread."""
+
+    def time(self, stage: str, action: Callable[[], Result]) -> Result:
+        start = thread_time()
+        result = action()
+        self.time_ms[stage] = (thread_time() - start) * 1e3
+        return result
+
+
 class Measured(NamedTuple):
     """One image."""
 
     elements: Elements2D
     truth: ImageGroundTruth
-    regions_s: float
-    measuring_s: float
+    watch: Stopwatch
 
 
-def measured(image: SampledImage, regions: Sequence[Region], truth: ImageGroundTruth) -> Measured:
-    begin = process_time()
-    elements = measure(image, regions)
-    return Measured(elements, truth, 0.0, process_time() - begin)
+def measured(
+    image: SampledImage, regions: Sequence[Region], truth: ImageGroundTruth, watch: Stopwatch
+) -> Measured:
+    return Measured(watch.time("measuring", lambda: measure(image, regions)), truth, watch)
 
 
 def on_streets(streets: int, model: RegionModel) -> dict[str, list[Measured]]:
@@ -65,23 +81,37 @@ def on_streets(streets: int, model: RegionModel) -> dict[str, list[Measured]]:
             (view, list(model.find(view.picture.image))),
         ]
         for name, (where, regions) in zip(of, given, strict=True):
-            of[name].append(measured(where.picture, regions, where.truth))
+            of[name].append(measured(where.picture, regions, where.truth, ProcessorWatch()))
     return of
 
 
-def on_kitti(kitti: Path, model: RegionModel) -> Iterator[Measured]:
+def on_kitti(kitti: Path, model: RegionModel) -> list[Measured]:
+    images: list[Measured] = []
+    detections: list[Proposal] = []
     with tempfile.TemporaryDirectory() as folder:
         workspace = Workspace.create_kitti(Path(folder) / "town", kitti, "02", (2, 3), range(20))
         with workspace.open_labels() as store:
             import_operations(LABELS, store)
         for image in labelled_images(workspace, None, ("left", "right"), REACH_M):
-            picture = image.read()
-            begin = process_time()
-            regions = model.find(picture)
-            seconds = process_time() - begin
-            yield measured(SampledImage(picture), regions, image.truth())._replace(
-                regions_s=seconds
+            picture, watch = image.read(), ProcessorWatch()
+            regions = model.find(picture, watch)
+            images.append(measured(SampledImage(picture), regions, image.truth(), watch))
+            detections += as_proposals(
+                image.frame_index, image.side, images[-1].elements, workspace.source.rig.left, ""
             )
+        for _ in range(2):  # the first time compiles
+            linking_ms = linked_ms(workspace, Proposals.of(detections)) / len(images)
+        for measured_image in images:
+            measured_image.watch.time_ms["linking"] = linking_ms
+    return images
+
+
+def linked_ms(workspace: Workspace, detections: Proposals) -> float:
+    """Return how long all detections of a drive take to be linked."""
+    watch, labels = ProcessorWatch(), Labels(triangle_center=detections.triangle_center)
+    source, link, options = workspace.source, LinkOptions(), TrackOptions()
+    watch.time("linking", lambda: detection_labels(labels, detections, source, link, options))
+    return watch.time_ms["linking"]
 
 
 class Ends(NamedTuple):
@@ -155,8 +185,9 @@ def print_figures(name: str, images: Sequence[Measured]) -> None:
         if any(image.elements.is_line.any() for image in images):
             print_ends(end, ends(images, which))
     print_signs(images)
-    times = 1e3 * np.array([image.measuring_s for image in images])
-    print(f"  measuring: median {np.median(times):.0f} ms, most {times.max():.0f} ms")
+    for stage in images[0].watch.time_ms:
+        times = np.array([image.watch.time_ms[stage] for image in images])
+        print(f"  {stage}: median {np.median(times):.1f} ms, most {times.max():.0f} ms")
 
 
 def main() -> None:
@@ -168,7 +199,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     model = load_region_model(arguments.model)
     if arguments.kitti is not None:
-        print_figures(f"KITTI 02, {model.name}", list(on_kitti(arguments.kitti, model)))
+        print_figures(f"KITTI 02, {model.name}", on_kitti(arguments.kitti, model))
         return
     for name, images in on_streets(arguments.streets, model).items():
         print_figures(name, images)

@@ -166,29 +166,43 @@ def _by_mask(region: Region) -> Line | None:
     points = region.mask_points_px
     if len(points) < 3:
         return None
+    ends, residual, width = _line_through(points)
+    if not width:
+        return None
+    evidence = np.log([_length_px(ends) + 1.0, residual + 0.2, width])
+    return Line("line by mask", ends, width, evidence)
+
+
+@compiled
+def _line_through(points: FloatArray) -> tuple[FloatArray, float, float]:
+    """Return ends (2, 2), residual and width of a robust line through the middles of slices of
+    points (n, 2); with fewer than 3 slices the width is 0."""
     start, along = _principal(points)
+    residual = width = 0.0
+    ends = np.zeros((2, 2))
     for _ in range(2):
         positions, middles, widths = _slices(points, start, along)
         if len(positions) < 3:
-            return None
+            return ends, 0.0, 0.0
         first, slope, residual = _robust_line(positions, middles, widths)
-        normal = np.array([along[1], -along[0]])
-        start, along = start + first * normal, along + slope * normal
-        along = along / np.linalg.norm(along)
-    positions = (points - start) @ along
-    extent = np.array([positions.min(), positions.max()])
-    width = float(pole_axis.median(widths))
-    evidence = np.array(
-        [np.log(extent[1] - extent[0] + 1.0), np.log(residual + 0.2), np.log(width)]
-    )
-    return Line("line by mask", start + extent[:, None] * along, width, evidence)
+        width = pole_axis.median(widths)
+        u, v = along
+        start[0], start[1] = start[0] + first * v, start[1] - first * u
+        length = np.hypot(u + slope * v, v - slope * u)
+        along[0], along[1] = (u + slope * v) / length, (v - slope * u) / length
+    places = (points[:, 0] - start[0]) * along[0] + (points[:, 1] - start[1]) * along[1]
+    ends[0], ends[1] = start + places.min() * along, start + places.max() * along
+    return ends, residual, width
 
 
+@compiled
 def _principal(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the mean (2,) of points (n, 2) and their principal direction (2,), downwards."""
-    middle = points.mean(axis=0)
-    centred = points - middle
-    along = np.linalg.eigh(centred.T @ centred)[1][:, 1]
+    middle, along = np.empty(2), np.empty(2)
+    middle[0], middle[1] = points[:, 0].mean(), points[:, 1].mean()
+    u, v = points[:, 0] - middle[0], points[:, 1] - middle[1]
+    angle = 0.5 * np.arctan2(2.0 * (u * v).sum(), (u * u - v * v).sum())
+    along[0], along[1] = np.cos(angle), np.sin(angle)
     return middle, along if along[1] > 0.0 else -along
 
 

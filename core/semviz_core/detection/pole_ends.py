@@ -191,17 +191,27 @@ def first_ends(region: Region, line: Line, which: int) -> list[End]:
         candidates.append(End("end by model", which, position, np.array([length, slack, which])))
     points = region.mask_points_px
     if len(points):
-        places = (points - middle) @ along
-        beside = np.abs((points - middle) @ across(line.ends_px)) <= line.width_px / 2.0 + 1.5
-        if beside.any():
-            places = places[beside]
-        position = float(places.max() + 0.5) if which else float(places.min() - 0.5)
+        low, high = _extent_beside(points, middle, along, line.width_px / 2.0 + 1.5)
+        position = high + 0.5 if which else low - 0.5
         candidates.append(End("end by mask", which, position, np.array([length, slack, which])))
     if not candidates:
         corner = np.array([middle[0], region.box_px[3 if which else 1]])
         position = float((corner - middle) @ along)
         candidates.append(End("end by box", which, position, np.array([length, slack, which])))
     return candidates
+
+
+@compiled
+def _extent_beside(
+    points: FloatArray, start: FloatArray, along: FloatArray, beside_px: float
+) -> tuple[float, float]:
+    """Return the first and last place along a line of the points (n, 2) that are at most
+    ``beside_px`` beside it; of all points if none is."""
+    u, v = points[:, 0] - start[0], points[:, 1] - start[1]
+    places = u * along[0] + v * along[1]
+    beside = places[np.abs(u * along[1] - v * along[0]) <= beside_px]
+    counted = beside if len(beside) else places
+    return counted.min(), counted.max()
 
 
 def end_in_image(image: SampledImage, line: Line, first: End) -> End | None:

@@ -398,11 +398,14 @@ def _joined(first: _Piece, second: _Piece) -> _Piece:
 
 def _components(mask: BoolArray) -> list[_Piece]:
     import cv2
+    from scipy.ndimage import find_objects
 
-    number, labels, boxes, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
-    pieces = []
-    for label in range(1, number):
-        left, top, width, height = (int(value) for value in boxes[label, :4])
-        inside = labels[top : top + height, left : left + width] == label
-        pieces.append(_Piece((left, top), inside))
-    return pieces
+    whole = mask.astype(np.uint8)
+    left, top, width, height = cv2.boundingRect(whole)
+    if not height:
+        return []
+    _, labels = cv2.connectedComponents(whole[: top + height, : left + width])
+    return [
+        _Piece((columns.start, rows.start), labels[rows, columns] == label)
+        for label, (rows, columns) in enumerate(find_objects(labels), 1)
+    ]

@@ -229,6 +229,13 @@ def predicted_sigma_px(kind: str, evidence: FloatArray) -> float:
     return min(max(math.exp(min(exponent, 10.0)), _LEAST_PX), _MOST_PX)
 
 
+def predicted_sigmas_px(kind: str, evidence: FloatArray) -> FloatArray:
+    """Return ``predicted_sigma_px`` of each row of evidence (..., k)."""
+    weights = np.array(WEIGHTS[kind])
+    exponent = weights[0] + evidence @ weights[1:]
+    return np.asarray(np.clip(np.exp(np.minimum(exponent, 10.0)), _LEAST_PX, _MOST_PX))
+
+
 def chosen_sigma_px(what: str, least_px: float) -> float:
     """Return the sigma of a candidate chosen for the least predicted sigma."""
     constant, factor = CHOSEN[what]

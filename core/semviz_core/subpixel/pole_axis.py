@@ -95,15 +95,12 @@ def find_axes(
     Their ends are within ``reach_px`` of the line's, across it.
     """
     grid = _grid(reach_px, widest_px)
-    means = _means_along(straighten(image.image, ends_px, grid.offsets), grid.tilts)
-    inside, scores = _scores(means, grid, WEIGHTS)
-    turned = float(np.abs(across(ends_px)).max())
+    best, evidence, scores = _likeliest(image.image, ends_px, grid, count)
     axes: list[Axis] = []
-    for t, w, c in _best(scores, grid, turned, count).tolist():
+    for row, (t, w, c) in enumerate(best.tolist()):
         tilt, middle = float(grid.tilts[t]), float(grid.middles[w, c])
         ends = shift_line(ends_px, middle - tilt, middle + tilt)
-        evidence = np.array(_parts(means, grid, inside[t, w, c], t, w, c))
-        axes.append(Axis(ends, float(grid.widths[w]), evidence, float(scores[t, w, c])))
+        axes.append(Axis(ends, float(grid.widths[w]), evidence[row], float(scores[row])))
     return axes
 
 
@@ -139,6 +136,24 @@ def _grid(reach_px: float, widest_px: float) -> _Grid:
         left,
         right,
     )
+
+
+@compiled
+def _likeliest(
+    image: ByteImage, ends_px: FloatArray, grid: _Grid, count: int
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return up to ``count`` rows (tilt, width, middle) of the grid, their evidence and scores."""
+    means = _means_along(straighten(image, ends_px, grid.offsets), grid.tilts)
+    inside, scores = _scores(means, grid, WEIGHTS)
+    best = _best(scores, grid, np.abs(across(ends_px)).max(), count)
+    evidence, best_scores = np.empty((len(best), len(WEIGHTS))), np.empty(len(best))
+    for row in range(len(best)):
+        t, w, c = best[row]
+        best_scores[row] = scores[t, w, c]
+        parts = _parts(means, grid, inside[t, w, c], t, w, c)
+        for k in range(len(parts)):
+            evidence[row, k] = parts[k]
+    return best, evidence, best_scores
 
 
 class _Means(NamedTuple):
@@ -308,12 +323,21 @@ def edge_support(image: SampledImage, ends_px: FloatArray, width_px: float) -> F
     """
     half = width_px / 2.0 + 4.0
     offsets = np.arange(-half, half + STEP_PX / 2, STEP_PX)
-    strip = straighten(image.image, ends_px, offsets)
-    votes = edges_of_pole(strip, offsets, width_px)[:, :2]
+    return _edge_support(image.image, ends_px, width_px, offsets)
+
+
+@compiled
+def _edge_support(
+    image: ByteImage, ends_px: FloatArray, width_px: float, offsets: FloatArray
+) -> FloatArray:
+    strip = straighten(image, ends_px, offsets)
+    votes = edges_of_pole(strip, offsets, width_px)
     levels = mean_colors(strip, np.abs(offsets) <= max(0.3, width_px / 4.0))
-    varied = np.abs(levels - median_color(levels)).mean()
-    either = (votes.max(axis=1) > 0.5).mean()
-    return np.array([*sorted(votes.mean(axis=0)), either, np.log(varied + 3.0)])
+    left, right, support = votes[:, 0].mean(), votes[:, 1].mean(), np.empty(4)
+    support[0], support[1] = min(left, right), max(left, right)
+    support[2] = (np.maximum(votes[:, 0], votes[:, 1]) > 0.5).mean()
+    support[3] = np.log(np.abs(levels - median_color(levels)).mean() + 3.0)
+    return support
 
 
 @compiled

@@ -160,13 +160,21 @@ def end_by_rows(
         off, evidence = off[off > 0.0], evidence[off > 0.0]
     if len(off) < _FEWEST:
         return None
-    odds = WEIGHTS[0] + evidence @ WEIGHTS[1:]
-    total = np.concatenate([[0.0], np.cumsum(odds)])
-    places = np.append(off - 0.5, off[-1] + 0.5)
-    total = total - 0.5 * (places / sigma_px) ** 2
-    best = int(np.argmax(total))
-    others = total[np.abs(places - places[best]) > _APART_PX]
-    return RowsEnd(float(places[best]), float(total[best] - others.max(initial=-np.inf)))
+    return RowsEnd(*_likeliest_end(off, evidence, sigma_px))
+
+
+@compiled
+def _likeliest_end(off: FloatArray, evidence: FloatArray, sigma_px: float) -> tuple[float, float]:
+    """Return the values of ``RowsEnd`` from rows (n,) and their evidence (n, 3)."""
+    places, total = np.append(off - 0.5, off[-1] + 0.5), np.zeros(len(off) + 1)
+    for row in range(len(off)):
+        total[row + 1] = total[row] + WEIGHTS[0] + (evidence[row] * WEIGHTS[1:]).sum()
+    total -= 0.5 * (places / sigma_px) ** 2
+    best, second = np.argmax(total), -np.inf
+    for k in range(len(places)):
+        if abs(places[k] - places[best]) > _APART_PX:
+            second = max(second, total[k])
+    return places[best], total[best] - second
 
 
 def row_evidence(
@@ -181,28 +189,29 @@ def row_evidence(
     The evidence are the votes of the weaker and the stronger edge, and the likeness to the pole's
     colour.
     """
-    line = np.array([other_px, end_px])
-    length = float(np.hypot(*(end_px - other_px)))
-    back = round(min(reach_px, _MOST_SHARE * length))
-    off = np.arange(-back, round(reach_px) + 1).astype(np.float64)
-    points = end_px + off[:, None] * (end_px - other_px) / length
-    height, width = image.image.shape[:2]
-    inside = ((points > -0.5) & (points < [width - 0.5, height - 0.5])).all(axis=1)
-    off, points = off[inside], points[inside]
-    if len(off) < 2:
-        return off, np.zeros((len(off), 3))
-    return off, _row_votes(image.image, line, width_px, points)[:, :3]
+    return _row_evidence(image.image, np.array([other_px, end_px]), width_px, reach_px)
 
 
 @compiled
-def _row_votes(
-    image: ByteImage, line_px: FloatArray, width_px: float, points: FloatArray
-) -> FloatArray:
-    """Return (n, 4) the evidence of rows of a line whose middles are points (n, 2), and clutter.
-
-    Clutter is the mean vote for an edge in and beside the pole.
-    """
-    return _votes_like(image, line_px, width_px, points, _pole_color(image, line_px, width_px))
+def _row_evidence(
+    image: ByteImage, line_px: FloatArray, width_px: float, reach_px: float
+) -> tuple[FloatArray, FloatArray]:
+    height, width = image.shape[:2]
+    du, dv = line_px[1, 0] - line_px[0, 0], line_px[1, 1] - line_px[0, 1]
+    length = np.hypot(du, dv)
+    back, count = round(min(reach_px, _MOST_SHARE * length)), 0
+    off = np.arange(-back, round(reach_px) + 1.0)
+    points = np.empty((len(off), 2))
+    for place in off:
+        u, v = line_px[1, 0] + place * du / length, line_px[1, 1] + place * dv / length
+        if -0.5 < u < width - 0.5 and -0.5 < v < height - 0.5:
+            off[count], points[count, 0], points[count, 1] = place, u, v
+            count += 1
+    off, points = off[:count], points[:count]
+    if count < 2:
+        return off, np.zeros((count, 3))
+    pole = _pole_color(image, line_px, width_px)
+    return off, _votes_like(image, line_px, width_px, points, pole)[:, :3].copy()
 
 
 @compiled
@@ -229,7 +238,10 @@ def _pole_color(image: ByteImage, line_px: FloatArray, width_px: float) -> Float
 def _votes_like(
     image: ByteImage, line_px: FloatArray, width_px: float, points: FloatArray, pole: FloatArray
 ) -> FloatArray:
-    """Return ``_row_votes`` for a pole of a colour (3,)."""
+    """Return (n, 4) the evidence of rows of a line whose middles are points (n, 2), and clutter.
+
+    ``pole`` (3,) is its colour. Clutter is the mean vote for an edge in and beside the pole.
+    """
     beside, inner = _columns(width_px)
     strip = rows_across(image, points, across(line_px), beside)
     edges, colors = edges_of_pole(strip, beside, width_px), mean_colors(strip, inner)
@@ -289,11 +301,7 @@ def grown_end(
     beside the line, per px beyond its end.
     """
     line = np.array([other_px, end_px])
-    gap = _CLEAR_ROW * max(_LONGEST_GAP_PX, _GAP_SHARE * float(np.hypot(*(end_px - other_px))))
-    to_border = int(_to_border_px(image, line))
-    if to_border < _FEWEST:
-        return NOT_GROWN
-    return GrownEnd(*_followed(image.image, line, width_px, most_aside, gap, to_border))
+    return GrownEnd(*_followed(image.image, line, width_px, most_aside))
 
 
 @compiled
@@ -302,10 +310,13 @@ def _followed(
     line_px: FloatArray,
     width_px: float,
     most_aside: float,
-    gap: float,
-    to_border: int,
 ) -> tuple[float, float, float, float]:
-    """Return the values of ``GrownEnd``, ``to_border`` rows being left; each is examined once."""
+    """Return the values of ``GrownEnd``; each row up to the image border is examined once."""
+    length = np.hypot(line_px[1, 0] - line_px[0, 0], line_px[1, 1] - line_px[0, 1])
+    gap = _CLEAR_ROW * max(_LONGEST_GAP_PX, _GAP_SHARE * length)
+    to_border = int(_to_border_px(image, line_px))
+    if to_border < _FEWEST:
+        return 0.0, 0.0, 0.0, 0.0
     at_first = min(_AT_FIRST, to_border)
     seen, examined, slopes = min(_AT_ONCE, at_first), 0, _slopes(most_aside, at_first)
     odds, clutter = np.empty((len(slopes), to_border)), np.empty((len(slopes), to_border))
@@ -368,12 +379,17 @@ def _examine(
             clutter[k, first + row] = votes[row, 3]
 
 
-def _to_border_px(image: SampledImage, line_px: FloatArray) -> float:
+@compiled
+def _to_border_px(image: ByteImage, line_px: FloatArray) -> float:
     """Return how far beyond the end of a line (2, 2) the image ends; 0 outside."""
-    along = (line_px[1] - line_px[0]) / np.hypot(*(line_px[1] - line_px[0]))
-    height, width = image.image.shape[:2]
-    room = np.where(along > 0.0, [width - 1.0, height - 1.0] - line_px[1], line_px[1])
-    return max(0.0, float((room / np.maximum(np.abs(along), 1e-6)).min()))
+    length = np.hypot(line_px[1, 0] - line_px[0, 0], line_px[1, 1] - line_px[0, 1])
+    most = np.inf
+    for axis in range(2):
+        along = (line_px[1, axis] - line_px[0, axis]) / length
+        last = image.shape[1 - axis] - 1.0
+        room = last - line_px[1, axis] if along > 0.0 else line_px[1, axis]
+        most = min(most, room / max(abs(along), 1e-6))
+    return max(0.0, most)
 
 
 @compiled

@@ -33,8 +33,8 @@ def _mixed(
 def color_at(image: ByteImage, u: float, v: float) -> tuple[float, float, float]:
     """Return the colour at a point, bilinearly; the border is extended, also to NaN."""
     height, width = image.shape[:2]
-    u = min(max(u, 0.0), width - 1.0) if u == u else 0.0
-    v = min(max(v, 0.0), height - 1.0) if v == v else 0.0
+    u = min(max(0.0, u), width - 1.0)  # 0 for NaN, which is not larger
+    v = min(max(0.0, v), height - 1.0)
     x, y = np.uint32(u), np.uint32(v)  # unsigned: no index counts from the end
     right, down = np.uint32(min(x + 1, width - 1)), np.uint32(min(y + 1, height - 1))
     du, dv = u - x, v - y

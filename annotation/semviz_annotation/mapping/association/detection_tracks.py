@@ -282,25 +282,25 @@ def _without_moving(drive: DetectedDrive, searched: BoolArray, tracks: _Tracks) 
 
 def _without_rejected(drive: DetectedDrive, tracks: _Tracks) -> _Tracks:
     """Give up the tracks of landmarks that a person left out."""
-    _, placed, _ = _placed(drive, tracks)
+    if not drive.left_out.any():
+        return tracks
+    _, placed = _placed(drive, tracks)
     return tracks._replace(owner=without_rejected(drive, tracks.owner, placed))
 
 
-def _placed(
-    drive: DetectedDrive, tracks: _Tracks
-) -> tuple[ObservationArray, Landmarks, AgreedEnds]:
+def _placed(drive: DetectedDrive, tracks: _Tracks) -> tuple[ObservationArray, Landmarks]:
     """Return the observations of the tracks, with the ends that agree, and their landmarks."""
     observations = drive.gathered.observations
     ends = agreed_ends(drive.rays, tracks.owner, tracks.at_m)
     agreed = replace(observations, anchor_known=ends.known[:, 0], end_known=ends.known[:, 1])
     grouped = agreed.regrouped(np.maximum(tracks.owner, -1), len(tracks.at_m))
     place = replace(drive.link.place, min_angle_rad=0.0)
-    return grouped, triangulate_landmarks(drive.gathered.views, grouped, place), ends
+    return grouped, triangulate_landmarks(drive.gathered.views, grouped, place)
 
 
 def _with_the_rest(drive: DetectedDrive, tracks: _Tracks) -> _Tracks:
     """Add the free detections that fit a track, in images where it has none."""
-    grouped, placed, _ = _placed(drive, tracks)
+    grouped, placed = _placed(drive, tracks)
     rows = np.flatnonzero((tracks.owner == FREE) & drive.is_detection)
     kind = np.full(len(tracks.at_m), -1)
     kind[grouped.landmark] = drive.class_id[grouped.label_row]
@@ -326,7 +326,7 @@ def _joined(
 ) -> JoinedDetections:
     """Return the labels with each track as a label element."""
     gathered, owner = drive.gathered, tracks.owner
-    _, _, ends = _placed(drive, tracks)
+    ends = agreed_ends(drive.rays, owner, tracks.at_m)
     rows: list[Row] = list(labels.rows())
     sigma_ratio: dict[str, tuple[float, float]] = {}
     log_odds: dict[str, float] = {}
