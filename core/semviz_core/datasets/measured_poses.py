@@ -157,10 +157,7 @@ def _of_kitti(recorded: conventions.RecordedPoses, around: Surroundings) -> Pose
 
 def poses_of_table(table: SensorTable, around: Surroundings) -> MeasuredPoses:
     """Return the poses in a table; columns of positions or rotations may be missing."""
-    order = np.arange(len(table))
-    if "time" in table:
-        order = np.argsort(table.values["time"], kind="stable")
-    table = table.rows(order.tolist())
+    table = table.rows(table.order)
     position_m, R_map_file = _positions(table, around)
     R_file_body, has_up, of_body = _rotations(table, compass=table.has("latitude", "longitude"))
     T_body_camera = around.extrinsic(of_body)

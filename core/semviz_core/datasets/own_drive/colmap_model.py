@@ -15,7 +15,7 @@ from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import read_limited, shown
 from semviz_core.datasets.own_drive.calibration import CalibrationFile
-from semviz_core.datasets.own_drive.conventions import PosedCameras, RecordedPoses, rotations_of
+from semviz_core.datasets.own_drive.conventions import PosedCameras, RecordedPoses, matrices_of
 from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera
 from semviz_core.datasets.trajectory import MOST_LINES
 
@@ -80,9 +80,7 @@ def read_colmap(path: Path) -> PosedCameras:
         raise SemvizError(f"{beside}: no camera {error} that an image has") from None
     except (struct.error, ValueError, IndexError, OverflowError):
         raise SemvizError(f"{file}: not a model of COLMAP, or cut off; export it again") from None
-    matrices = np.concatenate(
-        [rotations_of(images.quaternion, "wxyz", file), images.translation[:, :, None]], axis=2
-    )
+    matrices = matrices_of(images.translation, images.quaternion, "wxyz", file)
     poses = RecordedPoses(
         file,
         "COLMAP",

@@ -95,6 +95,13 @@ def rotations_of(quaternions: FloatArray, order: QuaternionOrder, path: Path) ->
     return np.asarray(Rotation.from_quat(xyzw).as_matrix()).reshape(-1, 3, 3)
 
 
+def matrices_of(
+    positions: FloatArray, quaternions: FloatArray, order: QuaternionOrder, path: Path
+) -> FloatArray:
+    """Return poses (n, 3, 4) from positions (n, 3) and quaternions (n, 4), as ``rotations_of``."""
+    return np.concatenate([rotations_of(quaternions, order, path), positions[:, :, None]], axis=2)
+
+
 def body_axes(yaw_rad: FloatArray, pitch_rad: FloatArray, roll_rad: FloatArray) -> FloatArray:
     """Return R_enu_body (n, 3, 3) of bodies with x ahead, y left, z up.
 

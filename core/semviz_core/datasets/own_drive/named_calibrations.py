@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.calibration import (
     CalibrationFile,
@@ -154,7 +155,7 @@ def _size_in(path: Path, groups: Mapping[str, Mapping[str, Any]]) -> Size | None
     return None
 
 
-def _taken(path: Path, size: Size | None, numbers: np.ndarray) -> Size:
+def _taken(path: Path, size: Size | None, numbers: FloatArray) -> Size:
     """Return the size of the images. Raise SemvizError if they cannot be those calibrated."""
     if size is None:
         raise SemvizError(f"{path}: no size of images; give it as width and height")

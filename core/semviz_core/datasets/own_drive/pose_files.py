@@ -18,8 +18,8 @@ from semviz_core.common.limits import shown
 from semviz_core.datasets.own_drive.conventions import (
     QuaternionOrder,
     RecordedPoses,
+    matrices_of,
     pose_in,
-    rotations_of,
 )
 from semviz_core.datasets.own_drive.image_files import SUFFIXES, TimeUnit, in_seconds, is_number
 from semviz_core.datasets.own_drive.pose_tables import poses_of_columns
@@ -125,8 +125,7 @@ def _named(
     values = _line_numbers(path, rest, width)
     if width == 7:
         order = quaternion or "xyzw"
-        rotations = rotations_of(values[:, 3:], order, path)
-        matrices = np.concatenate([rotations, values[:, :3, None]], axis=2)
+        matrices = matrices_of(values[:, :3], values[:, 3:], order, path)
         return RecordedPoses(path, "TUM", matrices, names=names, quaternion=order)
     matrices = _checked(path, rest, values.reshape(-1, 3, 4))
     return RecordedPoses(path, "KITTI", matrices, names=names)
@@ -179,9 +178,8 @@ def _timed(
     of_body: bool = False,
 ) -> RecordedPoses:
     time_s, unit = in_seconds([row[0] for row in words], unit, path)
-    rotations = rotations_of(values[:, 4:8], quaternion, path)
+    matrices = matrices_of(values[:, 1:4], values[:, 4:8], quaternion, path)
     order = np.argsort(time_s, kind="stable")
-    matrices = np.concatenate([rotations, values[:, 1:4, None]], axis=2)
     return RecordedPoses(
         path,
         format_,

@@ -18,7 +18,7 @@ from semviz_core.datasets.own_drive.conventions import (
     RecordedPoses,
     body_axes,
     local_poses,
-    rotations_of,
+    matrices_of,
 )
 from semviz_core.datasets.own_drive.sensor_table import SensorTable, is_in_radians
 
@@ -48,16 +48,15 @@ def poses_of_columns(
 
 def _sorted(table: SensorTable, poses: RecordedPoses) -> RecordedPoses:
     """Return poses with what assigns them to images, in order of time if there is one."""
-    time_s, frame = table.values.get("time"), table.values.get("frame")
-    rows = np.arange(len(table)) if time_s is None else np.argsort(time_s, kind="stable")
-    names = None if table.names is None else tuple(table.names[row] for row in rows.tolist())
+    ordered = table.rows(table.order)
+    frame = ordered.values.get("frame")
     return replace(
         poses,
-        matrices=poses.matrices[rows],
-        time_s=None if time_s is None else time_s[rows],
+        matrices=poses.matrices[table.order],
+        time_s=ordered.values.get("time"),
         time_unit=table.time_unit,
-        names=names,
-        indices=None if frame is None else frame[rows].astype(np.int64),
+        names=ordered.names,
+        indices=None if frame is None else frame.astype(np.int64),
     )
 
 
@@ -66,8 +65,8 @@ def _of_quaternions(table: SensorTable, order: QuaternionOrder | None) -> Record
     if order is not None:  # of the columns as they stand
         written = list(table.written)
         names = tuple(sorted(_QUATERNION, key=written.index))
-    rotations = rotations_of(_whole(table, *names), order or "xyzw", table.path)
-    matrices = np.concatenate([rotations, _whole(table, "x", "y", "z")[:, :, None]], axis=2)
+    position_m, quaternions = _whole(table, "x", "y", "z"), _whole(table, *names)
+    matrices = matrices_of(position_m, quaternions, order or "xyzw", table.path)
     return RecordedPoses(table.path, "table", matrices, quaternion=order)
 
 
@@ -96,9 +95,7 @@ def _of_gnss(table: SensorTable) -> RecordedPoses:
     _refuse_impossible(table, *degrees)
     R = _body_axes(table, np.pi / 2.0 - heading)
     note = f"heading clockwise from north, {_tilt(table)}, metres east and north of "
-    rows = np.arange(len(table))
-    if "time" in table:
-        rows = np.argsort(table.values["time"], kind="stable")
+    rows = table.order
     return RecordedPoses(
         path,
         "GNSS",

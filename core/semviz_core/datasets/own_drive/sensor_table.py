@@ -88,6 +88,13 @@ class SensorTable:
         missing = np.full(len(self), np.nan)
         return np.column_stack([self.values.get(name, missing) for name in names])
 
+    @property
+    def order(self) -> list[int]:
+        """Rows in order of time; as they stand without times."""
+        if "time" not in self:
+            return list(range(len(self)))
+        return [int(row) for row in np.argsort(self.values["time"], kind="stable")]
+
     def rows(self, rows: Sequence[int]) -> "SensorTable":
         """Return some rows."""
         values = {name: column[list(rows)] for name, column in self.values.items()}

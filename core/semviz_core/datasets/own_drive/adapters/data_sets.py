@@ -29,7 +29,12 @@ from semviz_core.datasets.own_drive import image_files, recording
 from semviz_core.datasets.own_drive.adapters import kitti, nuscenes, rosbag
 from semviz_core.datasets.own_drive.calibration import CalibrationFile
 from semviz_core.datasets.own_drive.calibration_files import read_calibration
-from semviz_core.datasets.own_drive.conventions import NAMED_EXTRINSICS, RecordedPoses, rotations_of
+from semviz_core.datasets.own_drive.conventions import (
+    NAMED_EXTRINSICS,
+    RecordedPoses,
+    matrices_of,
+    rotations_of,
+)
 from semviz_core.datasets.own_drive.lens import OriginalCamera
 from semviz_core.datasets.own_drive.pose_files import read_poses
 from semviz_core.datasets.trajectory import parsed_numbers, read_text
@@ -96,9 +101,7 @@ def _poses(path: Path) -> RecordedPoses:
     table = _read_table(path)
     values = _columns(path, table, ("timestamp_ns", *_POSE))
     order = np.argsort(values[:, 0], kind="stable")
-    matrices = np.concatenate(
-        [rotations_of(values[:, 1:5], "wxyz", path), values[:, 5:, None]], axis=2
-    )
+    matrices = matrices_of(values[:, 5:], values[:, 1:5], "wxyz", path)
     return RecordedPoses(
         path,
         "Argoverse 2",
