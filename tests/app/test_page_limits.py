@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import aiohttp
+import numpy as np
 import psutil
 import pytest
 from annotator_page import annotating
 from echo_tool import EchoTool, ask, finished
+from numpy.typing import NDArray
 from serving import at
 
 from semviz.annotator.server import Annotator
@@ -24,11 +26,11 @@ from semviz.web.gateway import Gateway
 from semviz.workspace.workspace import Workspace
 
 VISER = (f"viser-v{version('viser')}",)
-PAGES = 200
+PAGES = 100
 AT_ONCE = 4
-MEMORY = 1.5 * 2**20
-"""What 200 pages may leave, bytes: caches of addresses and cookies. One viser server has 1 MB."""
-RSS = 24 * 2**20
+MEMORY = 0.75 * 2**20
+"""What 100 pages may leave, bytes: caches of addresses and cookies. One viser server has 1 MB."""
+RSS = 12 * 2**20
 
 
 @pytest.fixture
@@ -66,32 +68,34 @@ def threads() -> int:
     return sum(not thread.name.startswith("asyncio_") for thread in threading.enumerate())
 
 
-def leftovers(tool: Annotator) -> tuple[int, int]:
-    """Bytes that Python allocated, and those of the process, once all pages are closed."""
+def leftovers(tool: Annotator, threads_before: int) -> NDArray[np.int64]:
+    """Bytes that Python allocated, and those of the process, once pages and threads have ended."""
     wait_until(lambda: tool.pages == () and tool.scenes.count == 0)
     tool.scene_thread.submit(lambda: None).result()
+    wait_until(lambda: threads() <= threads_before)  # a stopped server may still be ending
     gc.collect()
-    return tracemalloc.get_traced_memory()[0], psutil.Process().memory_info().rss
+    return np.array([tracemalloc.get_traced_memory()[0], psutil.Process().memory_info().rss])
 
 
 @pytest.mark.timeout(600)
-def test_two_hundred_pages_leave_nothing(
+def test_a_hundred_pages_leave_nothing(
     workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Of two hundreds, the one that leaves less: what is made once and kept is no leak."""
     monkeypatch.setattr(sessions, "LINGER_S", 0.1)
     tracemalloc.start()
     try:
         with annotating(workspace) as served:
             finished(visit_often(served.url, 40))  # caches fill
-            traced, rss = leftovers(served.annotator)
+            wait_until(lambda: served.annotator.scenes.count == 0)
             threads_before = threads()
-            finished(visit_often(served.url, PAGES))
-            traced_after, rss_after = leftovers(served.annotator)
-            wait_until(lambda: threads() <= threads_before)
+            left = [leftovers(served.annotator, threads_before)]
+            for _ in range(2):
+                finished(visit_often(served.url, PAGES))
+                left.append(leftovers(served.annotator, threads_before))
     finally:
         tracemalloc.stop()
-    assert traced_after - traced < MEMORY
-    assert rss_after - rss < RSS
+    assert (np.diff(left, axis=0).min(axis=0) < (MEMORY, RSS)).all(), left
 
 
 def test_a_client_has_a_limited_number_of_pages(monkeypatch: pytest.MonkeyPatch) -> None:
