@@ -128,13 +128,15 @@ def _off_center(camera: Camera, value: FloatArray) -> Camera:
     return replace(camera, K=K)
 
 
+SHIFTED = "the map is shifted or turned"
 ELSEWHERE = "the camera is mounted elsewhere"
+OTHER_TIMES = "images and poses have different times"
 MISALIGNMENTS = (
-    CommonCause("misaligned map", "the map is shifted or turned", 4, _by_map),
+    CommonCause("misaligned map", SHIFTED, 4, _by_map),
     CommonCause("wrong extrinsic", ELSEWHERE, 3, _by_mounting),
     CommonCause("wrong extrinsic", ELSEWHERE, 6, _by_mounting),
     CommonCause(
-        "time offset", "images and poses have different times", 1, _by_time,
+        "time offset", OTHER_TIMES, 1, _by_time,
         starts=(-2.0, -1.0, 0.0, 1.0, 2.0),
     ),
 )  # fmt: skip

@@ -22,6 +22,7 @@ from semviz_core.diagnosis.common_causes import CALIBRATIONS
 from semviz_core.diagnosis.fault import EvidenceItem, Fault, FaultKind, GroundTruth, RunFault
 from semviz_core.diagnosis.frame_causes import with_sigma_scaled
 from semviz_core.diagnosis.odometry import odometry_fault
+from semviz_core.diagnosis.prior_offsets import prior_offsets, without_offset
 from semviz_core.diagnosis.reference import FrameReference, ProgressCallback, no_progress
 
 NEEDED_FRAMES = 3
@@ -173,6 +174,10 @@ def diagnose_run(
             causes.append(fault)
             compared = [found[0].fit.corrected(row) for row in range(len(compared))]
             cases = _replaced(cases, positions, compared)
+    if not any(case.truth is not None for case in cases) and (offsets := prior_offsets(cases)):
+        cases = without_offset(cases, offsets[0])
+        compared = [cases[position] for position in positions]
+        causes.append(run_causes.prior_offset_fault(offsets, cases, watch))
     causes += run_causes.assumption_run_faults(cases, watch)
     moved = None if odometry is None else odometry_fault(cases, odometry)
     causes += [] if moved is None else [moved]

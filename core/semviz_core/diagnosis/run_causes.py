@@ -22,6 +22,7 @@ from semviz_core.diagnosis.cause_fits import CauseFit, RatedCause
 from semviz_core.diagnosis.common_causes import CALIBRATIONS
 from semviz_core.diagnosis.fault import EvidenceItem, Fault, FaultKind, RunFault
 from semviz_core.diagnosis.frame_causes import likeliest_sigma_fault, sigma_gains
+from semviz_core.diagnosis.prior_offsets import PriorOffset
 from semviz_core.diagnosis.reference import (
     FrameReference,
     ProgressCallback,
@@ -115,9 +116,7 @@ def cause_fault(
     frames = tuple(row for row, case in enumerate(watched) if _is_fixed(case, fit))
     is_calibration = fit.cause in CALIBRATIONS
     sentence = _calibration_sentence(fit) if is_calibration else _offset_sentence(fit)
-    if rivals:
-        others = " or ".join(rival.fit.cause.name for rival in rivals)
-        sentence += f" This drive cannot tell it from another cause: {others}."
+    sentence += _rivals_sentence([rival.fit.cause.name for rival in rivals])
     evidence = [EvidenceItem("frames", len(fit.frames.fitted))]
     if is_calibration:
         largest = float(fit.value[np.argmax(np.abs(fit.value))]) * fit.cause.in_unit
@@ -126,13 +125,64 @@ def cause_fault(
     return RunFault(fit.cause.kind, sentence, tuple(evidence), frames=frames)
 
 
-def _is_fixed(case: FrameReference, fit: CauseFit) -> bool:
-    """Whether a corrected frame is healthy; with another calibration, it is solved again."""
+def prior_offset_fault(
+    offsets: Sequence[PriorOffset],
+    corrected: Sequence[FrameReference],
+    watch: ProgressCallback = no_progress,
+) -> RunFault:
+    """Return the fault of what all position priors have in common, ``offsets`` by likelihood.
+
+    Its frames are those of ``corrected`` that are healthy, solved with their corrected prior.
+    """
+    best, *rivals = offsets
+    watched = watch(corrected, "solving with corrected priors", len(corrected))
+    frames = tuple(row for row, case in enumerate(watched) if _is_healthy_again(case))
+    return RunFault(
+        best.pattern.kind,
+        f"In {len(best.row)} frames, the position priors are off alike: {_prior_sentence(best)}."
+        + _rivals_sentence([rival.pattern.name for rival in rivals]),
+        (
+            EvidenceItem("frames", len(best.row)),
+            EvidenceItem("off", best.size_m, "m"),
+            EvidenceItem("strength", best.nats, "nats"),
+        ),
+        frames=frames,
+    )
+
+
+def _prior_sentence(offset: PriorOffset) -> str:
+    value = offset.value
+    if offset.pattern.kind == "time offset":
+        late = "later" if value[0] > 0.0 else "earlier"
+        return f"the images are {abs(value[0]):.2f} frames {late} than their priors"
+    if offset.pattern.kind == "wrong extrinsic":
+        ahead, left = _toward(value[0], "ahead", "back"), _toward(value[1], "left", "right")
+        return f"they are those of a point {ahead} and {left} of the camera"
+    return (
+        f"the images show the camera {-value[0]:+.2f}, {-value[1]:+.2f} m (x, y) from there, so "
+        "the map is shifted by that, or the priors are in another datum"
+    )
+
+
+def _rivals_sentence(names: Sequence[str]) -> str:
+    if not names:
+        return ""
+    return f" This drive cannot tell it from another cause: {' or '.join(names)}."
+
+
+def _is_healthy_again(case: FrameReference) -> bool:
+    """Whether a frame is healthy, solved again with its prior if it is not."""
     if is_healthy(case.localization, case.truth):
         return True
-    if fit.cause not in CALIBRATIONS or case.localization.prior is None:
-        return False
-    return is_healthy(solve_with_prior(case, case.prior), case.truth)
+    given = case.localization.prior is not None
+    return given and is_healthy(solve_with_prior(case, case.prior), case.truth)
+
+
+def _is_fixed(case: FrameReference, fit: CauseFit) -> bool:
+    """Whether a corrected frame is healthy; with another calibration, it is solved again."""
+    if fit.cause in CALIBRATIONS:
+        return _is_healthy_again(case)
+    return is_healthy(case.localization, case.truth)
 
 
 def _calibration_sentence(fit: CauseFit) -> str:
