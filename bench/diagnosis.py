@@ -2,6 +2,7 @@
 
     python bench/diagnosis.py
     python bench/diagnosis.py --first-seed 0 --frames 100     (tuning; figures of CONFIDENCE)
+    python bench/diagnosis.py --frames 0 --fix-sigma-m 0.5    (runs with an inertial system)
 
 Each frame (or run of ten frames) has one planted fault and is healthy without it;
 tests/support/planted_faults.py and planted_runs.py define the faults. Each is diagnosed three
@@ -56,6 +57,8 @@ class Options:
     """Of each kind; 0 for runs alone."""
     runs: int = 40
     """Of each kind, of ten frames, and half as many long ones; 0 for frames alone."""
+    fix_sigma_m: float | None = None
+    """Accuracy of the position priors of runs: then they are the stated poses with this error."""
     first_seed: int = 1000
     false_detections: float = 0.0
     """Mean number per image besides the planted faults; reported too, but no false alarms."""
@@ -105,7 +108,7 @@ def print_runs(options: Options, count: int, runs: int) -> None:
         drives = []
         seed = options.first_seed
         while len(drives) < runs:
-            drive = plant_in_run(fault, seed, roads[seed % ROADS], count)
+            drive = plant_in_run(fault, seed, roads[seed % ROADS], count, options.fix_sigma_m)
             if drive is not None:
                 drives.append(drive)
             seed += 1

@@ -109,7 +109,7 @@ def test_pitch_lifts_the_nose_and_roll_lowers_the_right_side(tmp_path: Path) -> 
 def test_a_cell_that_a_pose_needs_is_not_empty(drive: DriveFiles, tmp_path: Path) -> None:
     table = "time_s,x_m,y_m,z_m,qx,qy,qz,qw\n1,0,0,0,0,0,0,1\n2,0,,0,0,0,0,1\n"
     path = written(tmp_path / "a.csv", table)
-    with pytest.raises(SemvizError, match=r"a\.csv, line 3: y_m is empty; delete the line"):
+    with pytest.raises(SemvizError, match=r"a\.csv, line 3: no number in y_m; delete the line"):
         read_poses(path)
     path.write_text("0.png\n")
     with pytest.raises(SemvizError, match="0 numbers behind a name"):

@@ -44,9 +44,17 @@ class PlantedRun:
 
 
 def plant_in_run(
-    fault: FaultKind, seed: int, road: BenchmarkRoad, count: int = FRAMES
+    fault: FaultKind,
+    seed: int,
+    road: BenchmarkRoad,
+    count: int = FRAMES,
+    fix_sigma_m: float | None = None,
 ) -> PlantedRun | None:
-    """A run of ``count`` frames with the fault; None where no element is seen often enough."""
+    """A run of ``count`` frames with the fault; None where no element is seen often enough.
+
+    With ``fix_sigma_m``, position priors are the stated poses with that error, as an inertial
+    system has them: what is wrong with the poses is wrong with the priors.
+    """
     rng = np.random.default_rng([seed, 9])
     first = _start(road, count, rng, turning=fault in OF_POSES)
     elements = mapped_elements(road, seed, WHOLE)
@@ -65,7 +73,16 @@ def plant_in_run(
     elif fault in _FAULTS:
         changed, *named_ids = _FAULTS[fault](elements, element, rng)
         frames, named = [replace(frame, elements=changed) for frame in frames], tuple(named_ids)
+    if fix_sigma_m is not None:
+        frames = [_with_fix(frame, fix_sigma_m, rng) for frame in frames]
     return replace(_localized(fault, frames, named), odometry=odometry)
+
+
+def _with_fix(given: Given, sigma_m: float, rng: np.random.Generator) -> Given:
+    position_m = given.T_camera_map.inverse().translation
+    position_m = position_m + [*(sigma_m * rng.standard_normal(2)), 0.0]
+    prior = replace(given.prior, position_m=position_m, horizontal_sigma_m=sigma_m)
+    return replace(given, prior=prior)
 
 
 def _odometry(

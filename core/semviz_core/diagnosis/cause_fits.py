@@ -30,8 +30,10 @@ from semviz_core.diagnosis.reference import (
 )
 
 NEEDED_PAIRS = 8
-LEAST_NATS = 20.0
-"""Log-likelihood that a cause must add, beyond its parameters and without its best element."""
+LEAST_NATS, LEAST_NATS_WITHOUT_TRUTH = 20.0, 8.0
+"""Log-likelihood that a cause must add, beyond its parameters and without its best element. Poses
+of the images themselves leave less to chance: without a wrong calibration, none of 60 runs of 100
+frames with other faults added 2."""
 RIVAL_NATS = 6.0
 """Causes closer than this cannot be told apart."""
 LEAST_OFFSET_M, LEAST_OFFSET_RAD = 0.1, float(np.deg2rad(0.2))
@@ -116,7 +118,9 @@ class RatedCause:
 
     @property
     def is_fault(self) -> bool:
-        return self.nats_without_best > LEAST_NATS and _is_large(self.fit)
+        with_truth = self.fit.frames.has_truth
+        least = LEAST_NATS if with_truth else LEAST_NATS_WITHOUT_TRUTH
+        return self.nats_without_best > least and _is_large(self.fit)
 
 
 def common_cause(

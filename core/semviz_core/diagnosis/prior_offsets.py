@@ -218,7 +218,7 @@ def _fit(seen: _Innovations, columns: FloatArray, noise: _Noise) -> tuple[float,
     for _ in range(ITERATIONS):
         sigmas = (offset - design @ value) / noise.sigma_m
         weighted = design * (share / (1.0 + (sigmas / OUTLIER_SIGMAS) ** 2))[:, None]
-        value = np.linalg.solve(design.T @ weighted + precision, weighted.T @ offset)
+        value = np.asarray(np.linalg.solve(design.T @ weighted + precision, weighted.T @ offset))
     sigmas = (offset - design @ value) / noise.sigma_m
     robust = 0.5 * OUTLIER_SIGMAS**2 * np.log1p((sigmas / OUTLIER_SIGMAS) ** 2)  # Cauchy
     cost = noise.independent * float(robust.sum()) + 0.5 * float(value @ precision @ value)

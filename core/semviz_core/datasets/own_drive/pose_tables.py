@@ -107,13 +107,13 @@ def _of_gnss(table: SensorTable) -> RecordedPoses:
 
 
 def _whole(table: SensorTable, *names: str) -> FloatArray:
-    """Return columns (n, len(names)). Raise SemvizError if a cell of them is empty."""
+    """Return columns (n, len(names)). Raise SemvizError if a cell of them has no number."""
     values = table.columns(*names)
     empty = np.argwhere(~np.isfinite(values))
     if len(empty):
         row, column = empty[0].tolist()
         name = table.written[names[column]]
-        raise SemvizError(f"{table.path}, line {row + 2}: {name} is empty; delete the line")
+        raise SemvizError(f"{table.path}, line {row + 2}: no number in {name}; delete the line")
     return values
 
 
