@@ -32,8 +32,8 @@ NAMES = (
     "cvat", "labelme", "coco", "proposals", "proposals-parquet", "geojson", "lanelet2",
     "opendrive", "csv", "map", "run", "run-values", "poses", "calibration", "image", "settings",
     "model", "weights", "backdrop", "card", "motions", "detector-calibration", "segmentation",
-    "mask", "pole-map", "camera-toml", "camera-yaml", "camera-text", "drive-poses", "drive-times",
-    "colmap", "nerfstudio", "drive-file", "boxes", "box-file", "recording", "bag",
+    "mask", "pole-map", "camera-toml", "camera-yaml", "camera-text", "drive-poses", "drive-records",
+    "drive-times", "colmap", "nerfstudio", "drive-file", "boxes", "box-file", "recording", "bag",
     "measured", "pose-choices", "map-decisions", "matches",
 )  # fmt: skip
 WORDS = (

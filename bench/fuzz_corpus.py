@@ -314,6 +314,10 @@ def _write_drives() -> None:
             shutil.copy(write(work), _path("drive-poses", write.__name__))
         names = "t_ns,x [m],y [m],z [m],qw,qx,qy,qz"
         _write("drive-poses", "names.csv", f"{names}\n1,0,0,1.6,1,0,0,0\n2,0,1,1.6,1,0,0,0\n")
+        record = {"t_ns": 1, "position": {"x": 0, "y": 1, "z": 1.6}, "rotation": [1, 0, 0, 0]}
+        _write(
+            "drive-records", "named.json", json.dumps({"poses": [record, {**record, "t_ns": 2}]})
+        )
         shutil.copy(nerfstudio(work), _path("nerfstudio", "small.json"))
         for write, kind in ((colmap, "txt"), (colmap_binary, "bin")):
             model = write(work)

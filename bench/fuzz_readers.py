@@ -300,6 +300,7 @@ READERS: Mapping[str, Reader] = {
     "camera-yaml": Reader("input.yaml", drive.calibration),
     "camera-text": Reader("input.txt", drive.calibration),
     "drive-poses": Reader("input.txt", drive.poses),
+    "drive-records": Reader("input.json", drive.poses),
     "drive-times": Reader("input.txt", drive.times),
     "colmap": Reader("input", drive.colmap),
     "nerfstudio": Reader("input.json", drive.nerfstudio),

@@ -1,5 +1,6 @@
 """Poses in tables with named columns, behind times and names, and in files of their own."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -70,6 +71,60 @@ def test_tables_of_others_are_read_by_the_names_of_their_columns(
     check_poses(read_drive(replace(drive, poses=written(tmp_path / "a.txt", "\n".join(lines)))))
 
 
+def nested(stamp: int, T: Pose) -> dict[str, object]:
+    """A record as PandaSet's, with a time."""
+    w, x, y, z = wxyz(T)
+    position = dict(zip("xyz", T.translation.tolist(), strict=True))
+    return {"position": position, "heading": {"w": w, "x": x, "y": y, "z": z}, "time_ns": stamp}
+
+
+def listed(stamp: int, T: Pose) -> dict[str, object]:
+    """A record as those of nuScenes."""
+    turn, place = list(wxyz(T)), T.translation.tolist()
+    return {"token": "a", "timestamp": stamp // 1000, "rotation": turn, "translation": place}
+
+
+@pytest.mark.parametrize("record", [nested, listed])
+@pytest.mark.parametrize("layout", ["list", "named", "lines"])
+def test_records_of_json_are_read_by_their_names(
+    drive: DriveFiles, tmp_path: Path, layout: str, record: Callable[[int, Pose], object]
+) -> None:
+    records = [record(stamp, truth(index)) for index, stamp in enumerate(stamps())]
+    text = json.dumps({"poses": records} if layout == "named" else records)
+    if layout == "lines":
+        text = "\n".join(map(json.dumps, records))
+    check_poses(read_drive(replace(drive, poses=written(tmp_path / "a.json", text))))
+
+
+def test_records_without_times_are_those_of_the_images_in_order(
+    drive: DriveFiles, tmp_path: Path
+) -> None:
+    records = [nested(stamp, truth(index)) for index, stamp in enumerate(stamps())]
+    for record in records:
+        del record["time_ns"]
+    poses = written(tmp_path / "poses.json", json.dumps(records))
+    check_poses(read_drive(replace(drive, poses=poses)))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[1, 2]", "no list of records"),
+        ("{}", "no list of records"),
+        ('{"a": [', "not JSON"),
+        ('[{"a": 1}]', "no poses by names that are known"),
+        ('[{"x": 1, "y": 2, "z": 3}]', "no poses by names that are known"),
+        ('[{"position": [1, 2, 3], "rotation": [1, 0, 0, 0]}, {"position": [1, 2, 3]}]',
+         "record 2: no number in rotation.x; delete it"),
+        ('[{"position": [1, 2, 3], "rotation": [0, 0, 0, 0]}]', "quaternion"),
+        ("[]", "holds no records"),
+    ],
+)  # fmt: skip
+def test_other_json_is_refused_in_one_line(tmp_path: Path, text: str, says: str) -> None:
+    with pytest.raises(SemvizError, match=says):
+        read_poses(written(tmp_path / "a.json", text))
+
+
 def test_a_folder_has_a_matrix_for_each_image(drive: DriveFiles, tmp_path: Path) -> None:
     folder = tmp_path / "poses"
     folder.mkdir()
@@ -109,7 +164,7 @@ def test_pitch_lifts_the_nose_and_roll_lowers_the_right_side(tmp_path: Path) -> 
 def test_a_cell_that_a_pose_needs_is_not_empty(drive: DriveFiles, tmp_path: Path) -> None:
     table = "time_s,x_m,y_m,z_m,qx,qy,qz,qw\n1,0,0,0,0,0,0,1\n2,0,,0,0,0,0,1\n"
     path = written(tmp_path / "a.csv", table)
-    with pytest.raises(SemvizError, match=r"a\.csv, line 3: no number in y_m; delete the line"):
+    with pytest.raises(SemvizError, match=r"a\.csv, line 3: no number in y_m; delete it"):
         read_poses(path)
     path.write_text("0.png\n")
     with pytest.raises(SemvizError, match="0 numbers behind a name"):

@@ -16,7 +16,7 @@ from semviz_core.datasets.own_drive import conventions
 from semviz_core.datasets.own_drive.adapters.data_sets import is_comma, read_comma_poses
 from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
 from semviz_core.datasets.own_drive.pose_files import read_poses
-from semviz_core.datasets.own_drive.recorded_cameras import read_nerfstudio
+from semviz_core.datasets.own_drive.recorded_cameras import is_nerfstudio, read_nerfstudio
 from semviz_core.datasets.own_drive.recording import rows_of_names
 from semviz_core.datasets.own_drive.sensor_table import SensorTable, read_table
 from semviz_core.datasets.trajectory import T_MAP_WORLD
@@ -113,7 +113,8 @@ def read_poses_or_table(path: Path, around: Surroundings) -> MeasuredPoses:
     """Return poses from a table or a file of whole poses. Raise SemvizError if it is missing."""
     if not path.exists():
         raise SemvizError(f"{path}: no such file; name another")
-    table = None if path.is_dir() or path.suffix in (".bin", ".json") else read_table(path)
+    is_model = path.is_dir() or path.suffix == ".bin" or is_nerfstudio(path)
+    table = None if is_model else read_table(path)
     return read_measured_poses(path, around) if table is None else poses_of_table(table, around)
 
 
@@ -144,7 +145,7 @@ def read_measured_poses(path: Path, around: Surroundings) -> MeasuredPoses:
 def _read(path: Path) -> conventions.RecordedPoses:
     if is_colmap(path):
         return read_colmap(path).poses
-    if path.suffix == ".json":
+    if is_nerfstudio(path):
         return read_nerfstudio(path).poses
     return read_comma_poses(path) if is_comma(path) else read_poses(path)
 

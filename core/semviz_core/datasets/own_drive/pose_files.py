@@ -1,9 +1,9 @@
 """Read poses of cameras or bodies from files of others, without a guess at what they mean.
 
-Tables with named columns (``pose_tables``), TUM, KITTI, EuRoC's CSV, KITTI-360's numbered lines,
-and matrices behind times; models of COLMAP and nerfstudio are read by ``colmap_model`` and
-``recorded_cameras``. Poses are returned as stored, with the conventions of their format;
-``conventions`` applies these, or what the user says instead.
+Tables with named columns and records of JSON (``pose_tables``), TUM, KITTI, EuRoC's CSV,
+KITTI-360's numbered lines, and matrices behind times; models of COLMAP and nerfstudio are read by
+``colmap_model`` and ``recorded_cameras``. Poses are returned as stored, with the conventions of
+their format; ``conventions`` applies these, or what the user says instead.
 """
 
 import re
@@ -44,6 +44,8 @@ def read_poses(
     """
     if not path.is_file():
         raise SemvizError(f"{path}: no such file of poses; name another with --poses")
+    if path.suffix == ".json":
+        return _of_records(path, quaternion, unit)
     text = read_text(path)
     lines = [
         (number, re.split(r"[\s,;]+", line.strip().strip(",;")))
@@ -60,6 +62,19 @@ def read_poses(
         if found is not None:
             return found
     return _of_width(path, text, lines, quaternion, unit)
+
+
+def _of_records(
+    path: Path, quaternion: QuaternionOrder | None, unit: TimeUnit | None
+) -> RecordedPoses:
+    table = read_table(path, unit)
+    found = None if table is None else poses_of_columns(table, quaternion)
+    if found is None:
+        raise SemvizError(
+            f"{path}: no poses by names that are known; name each record's position x, y, z and "
+            "rotation w, x, y, z, or give nerfstudio's transforms.json"
+        )
+    return found
 
 
 def read_pose_folder(folder: Path) -> RecordedPoses | None:

@@ -20,7 +20,7 @@ from semviz_core.datasets.own_drive.conventions import (
     local_poses,
     matrices_of,
 )
-from semviz_core.datasets.own_drive.sensor_table import SensorTable, is_in_radians
+from semviz_core.datasets.own_drive.sensor_table import SensorTable, is_in_radians, row_name
 
 _LEAST_STEP_M, _LEAST_STEPS = 0.5, 5
 """Steps of a table that tell the direction of travel, and how many are needed."""
@@ -113,7 +113,9 @@ def _whole(table: SensorTable, *names: str) -> FloatArray:
     if len(empty):
         row, column = empty[0].tolist()
         name = table.written[names[column]]
-        raise SemvizError(f"{table.path}, line {row + 2}: no number in {name}; delete the line")
+        raise SemvizError(
+            f"{table.path}, {row_name(table.path, row)}: no number in {name}; delete it"
+        )
     return values
 
 

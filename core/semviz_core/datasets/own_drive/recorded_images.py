@@ -32,6 +32,7 @@ from semviz_core.datasets.own_drive.image_files import (
 from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
 from semviz_core.datasets.own_drive.pose_files import read_pose_folder, read_poses
 from semviz_core.datasets.own_drive.recorded_cameras import (
+    is_nerfstudio,
     read_cameras,
     read_nerfstudio,
     rows_of_images,
@@ -131,7 +132,7 @@ def _read_posed(files: DriveFiles, recording: Recording) -> PosedCameras | None:
         return None if own is None else PosedCameras(own, {})
     if is_colmap(path):
         return read_colmap(path)
-    if path.suffix == ".json":
+    if is_nerfstudio(path):
         return read_nerfstudio(path)
     if is_comma(path):
         return PosedCameras(read_comma_poses(path), {})

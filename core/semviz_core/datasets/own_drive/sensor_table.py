@@ -1,7 +1,7 @@
 """Read tables with named columns: positions, rotations, gravity and speeds at times or in frames.
 
 Names have units (``heading_deg``, ``x [m]``), and may be those that exports of ROS give them
-(``pose.position.x``). Cells may be empty. Angles become radians, times seconds.
+(``pose.position.x``), or records of JSON. Cells may be empty. Angles become radians, times seconds.
 """
 
 import re
@@ -15,6 +15,7 @@ from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown, table_rows
 from semviz_core.datasets.own_drive.image_files import TimeUnit, in_seconds, is_number
+from semviz_core.datasets.own_drive.json_table import json_cells
 from semviz_core.datasets.trajectory import read_text
 
 _COLUMNS = {
@@ -31,7 +32,10 @@ _COLUMNS = {
     "heading": r"(true_?)?(heading|yaw|azimuth|course)(_(deg|rad))?",
     "pitch": r"pitch(_(deg|rad))?",
     "roll": r"roll(_(deg|rad))?",
-    **{f"q{axis}": rf"(q|quat|quaternion|rot|rotation|orientation)_?{axis}" for axis in "xyzw"},
+    **{
+        f"q{axis}": rf"(q|quat|quaternion|rot|rotation|orientation|heading)_?{axis}"
+        for axis in "xyzw"
+    },
     **{f"up_{axis}": rf"up_{axis}" for axis in "xyz"},
     "horizontal_sigma": r"(horizontal_sigma|h_?acc(uracy)?|sigma)(_m)?",
     "vertical_sigma": r"(vertical_sigma|v_?acc(uracy)?)(_m)?",
@@ -102,21 +106,32 @@ class SensorTable:
         return replace(self, values=values, names=names)
 
 
+def row_name(path: Path, row: int) -> str:
+    """Return how people find a row of the table in a file."""
+    return f"record {row + 1}" if path.suffix == ".json" else f"line {row + 2}"
+
+
 def read_table(path: Path, unit: TimeUnit | None = None) -> SensorTable | None:
-    """Return the table in a text file; None if its first line has no names of columns.
+    """Return the table in a file; None if it has no names of columns that are known.
 
     ``unit`` replaces what the name of the column of times says. Raise SemvizError with the wrong
     line.
     """
+    head, rows = json_cells(path) if path.suffix == ".json" else _text_cells(path)
+    places = _places(head)
+    return _of_cells(path, head, places, rows, unit) if places.keys() - _LABELS else None
+
+
+def _text_cells(path: Path) -> tuple[list[str], list[list[str]]]:
+    """Return the names of columns and the cells of each line; no lines without known names."""
     lines = [line for line in read_text(path).splitlines() if line.strip()]
     if not lines:
         raise SemvizError(f"{path}: is empty; name another file")
     delimiter = _delimiter(lines[0])
     first = _TITLE.sub("", lines[0]).lstrip("# ")
     (head,) = table_rows([_squeezed(first) if delimiter == " " else first], path, delimiter) or [[]]
-    places = _places(head)
-    if not places.keys() - _LABELS:
-        return None
+    if not _places(head).keys() - _LABELS:
+        return head, []
     body = (line for line in lines[1:] if line[0] != "#")
     rows = table_rows(map(_squeezed, body) if delimiter == " " else body, path, delimiter)
     if not rows:
@@ -124,7 +139,7 @@ def read_table(path: Path, unit: TimeUnit | None = None) -> SensorTable | None:
     for number, row in enumerate(rows, 2):
         if len(row) != len(head):
             raise SemvizError(f"{path}, line {number}: {len(row)} cells, expected {len(head)}")
-    return _of_cells(path, head, places, rows, unit)
+    return head, rows
 
 
 def _of_cells(
@@ -186,17 +201,17 @@ def _times(
     name = _UNIT.sub(r"_\1", column.strip().lower())
     written = next((one for one in _UNITS if name.endswith(f"_{one}")), None)
     if "" in cells:
-        raise SemvizError(f"{path}, line {cells.index('') + 2}: {column} is empty; delete the line")
+        where = row_name(path, cells.index(""))
+        raise SemvizError(f"{path}, {where}: {column} is empty; delete it")
     return in_seconds(cells, unit or written, path)
 
 
 def _numbers(path: Path, name: str, column: str, cells: list[str]) -> FloatArray:
     """Return (n,) numbers, angles in radians; NaN for empty cells and for NaN."""
-    for number, cell in enumerate(cells, 2):
+    for row, cell in enumerate(cells):
         if cell and cell.lower() != "nan" and not is_number(cell):
-            raise SemvizError(
-                f"{path}, line {number}: {column} {shown(cell, 40)!r} is not a finite number"
-            )
+            where = f"{path}, {row_name(path, row)}"
+            raise SemvizError(f"{where}: {column} {shown(cell, 40)!r} is not a finite number")
     values = np.array([float(cell or "nan") for cell in cells])
     return np.deg2rad(values) if name in _ANGLES and not is_in_radians(column) else values
 
