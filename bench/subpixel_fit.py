@@ -110,7 +110,8 @@ def _pole_samples(shown: Shown, region: Region, row: int, signs: list[Region]) -
     for which, known in enumerate((truth.anchor_known[row], truth.end_known[row])):
         if known:
             place = float((true[which] - middle) @ course_along)
-            found = all_ends(shown.picture, region, best, signs, which)
+            first = first_end(region, best, which)
+            found = all_ends(shown.picture, region, best, signs, first)
             for end in [*first_ends(region, best, which), *found]:
                 yield Sample(end.kind, end.evidence, end.place_px - place)
 
@@ -191,7 +192,8 @@ def _known_weights(images: Regions) -> tuple[float, ...]:
             line = best_line(image.picture, region) if is_pole(region) else None
             if line is None:
                 continue
-            ends = [best_end(image.picture, region, line, signs, which) for which in range(2)]
+            first = [first_end(region, line, which) for which in range(2)]
+            ends = [best_end(image.picture, region, line, signs, end) for end in first]
             middle, along = line.middle_px, line.along
             ends_px = middle + np.array([[end.place_px] for end in ends]) * along
             ends_px, cut = within_image(image.picture, ends_px)
@@ -201,7 +203,8 @@ def _known_weights(images: Regions) -> tuple[float, ...]:
             off_px = np.abs((ends_px - true_px) @ along)
             for which in np.flatnonzero(~cut):
                 if region.ends_known is None or region.ends_known[which]:
-                    X.append(end_evidence(image.picture, region, line, ends_px, ends[which]))
+                    pair = (first[which], ends[which])
+                    X.append(end_evidence(image.picture, region, line, ends_px, *pair))
                     y.append(known[which] and off_px[which] < _RIGHT_PX)
     return _logistic(np.array(X), np.array(y, dtype=np.float64))
 

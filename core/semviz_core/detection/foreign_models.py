@@ -303,11 +303,11 @@ class OnnxModel:
             raise SemvizError(f"{self.path}: cannot run on {tensor.shape}: {message}") from None
 
     def _regions(self, outputs: list[Any], placement: ImagePlacement) -> list[Region]:
+        least, kind, labels = self.settings.least_score, self.settings.kind, len(self.classes)
         for name, output in zip(self.settings.outputs, outputs, strict=True):
             numbers = isinstance(output, np.ndarray) and output.dtype.kind in "fiu"
-            if not numbers or not _all_finite(output):
+            if not numbers or not (kind == "segmentation" or _all_finite(output)):
                 raise SemvizError(f"output {name!r} holds other than finite numbers")
-        least, kind, labels = self.settings.least_score, self.settings.kind, len(self.classes)
         if kind == "segmentation":
             maps = postprocessing.segmentation_maps(outputs[0], self.classes)
             return postprocessing.mask_regions(maps, self.classes, placement, least)

@@ -159,13 +159,17 @@ class ImagePlacement(NamedTuple):
         """
         import cv2
 
+        width, height = self.image_size
+        in_image = np.empty((len(maps), height, width), np.float32)
+        if self._is_stretched:  # a third of the time, with the same centres of pixels
+            for channel, target in zip(maps, in_image, strict=True):
+                cv2.resize(channel, self.image_size, target, interpolation=cv2.INTER_LINEAR)
+            return in_image
         shrunk = np.array([maps.shape[2], maps.shape[1]]) / self.input_size
         scale = self.scale * shrunk
         shift = (0.5 * self.scale + self.offset) * shrunk - 0.5
         matrix = np.column_stack([np.diag(scale), shift])
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        width, height = self.image_size
-        in_image = np.empty((len(maps), height, width), np.float32)
         for channel, target in zip(maps, in_image, strict=True):
             cv2.warpAffine(
                 channel, matrix, self.image_size, target, flags, borderMode=cv2.BORDER_REPLICATE
@@ -174,6 +178,12 @@ class ImagePlacement(NamedTuple):
         in_image[:, ~rows] = 0.0
         in_image[:, :, ~columns] = 0.0
         return in_image
+
+    @property
+    def _is_stretched(self) -> bool:
+        """Whether the image fills the input."""
+        filled = np.abs(self.scale * self.image_size - self.input_size).max() < 1e-6
+        return bool(filled and not self.offset.any())
 
     def _shown(self, axis: int) -> BoolArray:
         """Return which columns (0) or rows (1) of the image the input shows."""

@@ -78,13 +78,16 @@ def pole_extent(
 
     ``signs`` are the regions of all signs in the image.
     """
-    ends = [best_end(image, region, line, signs, which) for which in range(2)]
+    first = [first_end(region, line, which) for which in range(2)]
+    ends = [best_end(image, region, line, signs, end) for end in first]
     middle, along = line.middle_px, line.along
     ends_px = middle + np.array([[end.place_px] for end in ends]) * along
     on_border, cut = within_image(image, ends_px)
     if (on_border[1] - on_border[0]) @ along < SHORTEST_PX:
         return None
-    own_ends = ~cut & [_is_own(image, region, line, on_border, end) for end in ends]
+    own_ends = ~cut & [
+        _is_own(image, region, line, on_border, *pair) for pair in zip(first, ends, strict=True)
+    ]
     sigmas = np.array([end.sigma_px for end in ends])
     sigmas_used = sigmas[own_ends] if own_ends.any() else sigmas
     return Extent(
@@ -92,27 +95,30 @@ def pole_extent(
     )
 
 
-def _is_own(image: SampledImage, region: Region, line: Line, ends_px: FloatArray, end: End) -> bool:
+def _is_own(
+    image: SampledImage, region: Region, line: Line, ends_px: FloatArray, first: End, end: End
+) -> bool:
     """Whether an end is the pole's own: neither hidden, which the model may tell, nor unclear."""
     told = region.ends_known is not None and region.ends_known[end.which]
     if region.ends_known is not None and not told:
         return False
-    return known(end_evidence(image, region, line, ends_px, end), end.which)
+    return known(end_evidence(image, region, line, ends_px, first, end), end.which)
 
 
 def best_end(
-    image: SampledImage, region: Region, line: Line, signs: Sequence[Region], which: int
+    image: SampledImage, region: Region, line: Line, signs: Sequence[Region], first: End
 ) -> End:
-    """Return the candidate with the least sigma."""
-    return min(all_ends(image, region, line, signs, which), key=lambda end: end.sigma_px)
+    """Return the candidate with the least sigma; ``first`` is the model's."""
+    return min(all_ends(image, region, line, signs, first), key=lambda end: end.sigma_px)
 
 
 def all_ends(
-    image: SampledImage, region: Region, line: Line, signs: Sequence[Region], which: int
+    image: SampledImage, region: Region, line: Line, signs: Sequence[Region], first: End
 ) -> list[End]:
-    """Return all candidates; for a peak at a sign, only that of the sign."""
-    first = followed_end(image, region, line, first_end(region, line, which))
-    sign = None if which else _sign_at(line, signs, first)
+    """Return all candidates, beside the model's first; for a peak at a sign, only that of the
+    sign."""
+    first = followed_end(image, region, line, first)
+    sign = None if first.which else _sign_at(line, signs, first)
     if sign is not None:
         return [end_at_sign(image, line, sign)]
     rows = end_in_image(image, line, first)
@@ -280,13 +286,13 @@ def within_image(image: SampledImage, ends_px: FloatArray) -> tuple[FloatArray, 
 
 
 def end_evidence(
-    image: SampledImage, region: Region, line: Line, ends_px: FloatArray, end: End
+    image: SampledImage, region: Region, line: Line, ends_px: FloatArray, first: End, end: End
 ) -> FloatArray:
     """Return (k,) evidence for a visible end being the pole's own, and well measured.
 
     It is against an occluder's edge, a pole that goes on, and clutter in which no end is clear.
+    ``first`` is the model's end.
     """
-    first = first_end(region, line, end.which)
     after = end.after or _beyond_end(image, line, end)
     return np.array(
         [

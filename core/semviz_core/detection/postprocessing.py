@@ -18,8 +18,12 @@ from semviz_core.detection.regions import Region
 
 MOST_BOXES = 300
 """Maximum number of boxes kept, by score."""
-_ROWS_AT_ONCE = 16
-"""Rows of a class map that are turned into probabilities at a time: they fit into the cache."""
+_PIXELS_AT_ONCE = 8192
+"""Number of pixels of a class map that are turned into probabilities at a time: they fit into the
+cache."""
+_LEAST_LOG_RATIO = -3.0
+"""Least logarithm of the probability of a pole or sign in a pixel, over that of the likeliest
+class, at which probabilities are worked out there and beside it."""
 Output = NDArray[Any]
 """A model's output: floats of any width."""
 
@@ -209,7 +213,8 @@ def segmentation_maps(output: NDArray[Any], classes: ModelClasses) -> Maps:
     """Return maps (k + 1, h, w) of logits (1, classes, h, w) or of a map (1, h, w) of labels.
 
     They hold the probability of each of the k ``wanted`` targets, then that of the likeliest
-    ignored class. Raise SemvizError if the shape differs or a label is too high.
+    ignored class; where no target is nearly as likely, 0 and 1. Raise SemvizError if the shape
+    differs, a label is too high or logits are not finite.
     """
     labels = len(classes)
     if output.ndim == 3 and len(output) == 1 and output.dtype.kind in "iu":
@@ -223,23 +228,45 @@ def segmentation_maps(output: NDArray[Any], classes: ModelClasses) -> Maps:
             f"an output of shape {output.shape} and type {output.dtype}; with {labels} labels it "
             f"is logits (1, {labels}, height, width) or a map (1, height, width) of whole numbers"
         )
-    maps = np.empty((len(classes.wanted) + 1, *values.shape[1:]), np.float32)
-    for first in range(0, values.shape[1], _ROWS_AT_ONCE):
-        rows = slice(first, first + _ROWS_AT_ONCE)
-        maps[:, rows] = _maps_of_rows(values[:, rows], classes)
+    each = values.reshape(len(values), -1)
+    places = _of_interest(values, classes) if values.dtype.kind == "f" else np.arange(each.shape[1])
+    maps = np.zeros((len(classes.wanted) + 1, *values.shape[1:]), np.float32)
+    maps[-1] = 1.0
+    pixels = maps.reshape(len(maps), -1)
+    for first in range(0, len(places), _PIXELS_AT_ONCE):
+        some = places[first : first + _PIXELS_AT_ONCE]
+        pixels[:, some] = _maps_of_pixels(each.take(some, 1), classes)
     return maps
 
 
-def _maps_of_rows(values: NDArray[Any], classes: ModelClasses) -> Maps:
-    """Return maps (k + 1, rows, w) of logits (classes, rows, w) or labels (1, rows, w)."""
+def _of_interest(logits: NDArray[Any], classes: ModelClasses) -> IntArray:
+    """Return the indices of the pixels that may be of a region, and of those beside them.
+
+    Between other pixels, interpolation makes no region likeliest. Raise SemvizError if the largest
+    logit of a pixel is not finite.
+    """
+    import cv2
+
+    most = logits.max(axis=0)
+    if not np.isfinite(most).all():
+        raise SemvizError("its output holds other than finite numbers")
+    least = most + logits.dtype.type(_LEAST_LOG_RATIO)
+    near = np.zeros(least.shape, np.uint8)
+    for label in np.flatnonzero(classes.target != IGNORED).tolist():
+        near |= logits[label] >= least
+    return np.flatnonzero(cv2.dilate(near, np.ones((3, 3), np.uint8)))
+
+
+def _maps_of_pixels(values: NDArray[Any], classes: ModelClasses) -> Maps:
+    """Return maps (k + 1, n) of logits (classes, n) or labels (1, n) of n pixels."""
     total: NDArray[np.float32] | np.float32 = np.float32(1.0)
     if values.dtype.kind == "f":
         powers = values.astype(np.float32)
         np.exp(np.subtract(powers, powers.max(axis=0), out=powers), out=powers)
         total = powers.sum(axis=0)
     else:
-        powers = np.equal(values, np.arange(len(classes))[:, None, None]).astype(np.float32)
-    maps = np.zeros((len(classes.wanted) + 1, *values.shape[1:]), np.float32)
+        powers = np.equal(values, np.arange(len(classes))[:, None]).astype(np.float32)
+    maps = np.zeros((len(classes.wanted) + 1, powers.shape[1]), np.float32)
     place = {target: row for row, target in enumerate(classes.wanted)}
     for label, target in enumerate(classes.target.tolist()):
         if target == IGNORED:
@@ -302,11 +329,11 @@ def _poles(mask: BoolArray, odds: NDArray[np.float32]) -> list[_Piece]:
     ]
     poles: list[_Piece] = []
     for piece in sorted(pieces, key=lambda piece: -len(piece.mask)):
-        rows = [row for row, pole in enumerate(poles) if _continues(pole, piece)]
-        if rows:
-            poles[rows[0]] = _joined(poles[rows[0]], piece)
-        else:
+        row = next((row for row, pole in enumerate(poles) if _continues(pole, piece)), None)
+        if row is None:
             poles.append(piece)
+        else:
+            poles[row] = _joined(poles[row], piece)
     poles = _with_joined_edges(poles, odds)
     return [piece for piece in poles if len(piece.mask) >= max(_POLE_ROWS, _SLENDER * piece.width)]
 
@@ -349,16 +376,20 @@ def _with_joined_edges(poles: list[_Piece], odds: NDArray[np.float32]) -> list[_
     """Return the poles, with two that are the edges of one thick pole as one."""
     whole: list[_Piece] = []
     for piece in poles:
-        rows = [row for row, pole in enumerate(whole) if _is_other_edge(pole, piece, odds)]
-        if rows:
-            whole[rows[0]] = _joined(whole[rows[0]], piece)
-        else:
+        row = next(
+            (row for row, pole in enumerate(whole) if _is_other_edge(pole, piece, odds)), None
+        )
+        if row is None:
             whole.append(piece)
+        else:
+            whole[row] = _joined(whole[row], piece)
     return whole
 
 
 def _is_other_edge(pole: _Piece, piece: _Piece, odds: NDArray[np.float32]) -> bool:
     """Whether two pieces are the edges of one pole: side by side, and perhaps a pole between."""
+    if min(len(pole.mask), len(piece.mask)) < _NEAR_ROWS:
+        return False
     low, high = max(pole.rows[0], piece.rows[0]), min(pole.rows[1], piece.rows[1])
     if high - low < max(_NEAR_ROWS, _SIDE_BY_SIDE * max(len(pole.mask), len(piece.mask))):
         return False

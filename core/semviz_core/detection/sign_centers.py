@@ -172,12 +172,14 @@ def centers_from_outline(
     turned = [each for shape in shapes for each in turns_of(shape)]
     if turn:
         turned = [each for each in turned if each != ("triangle down" if turn > 0 else "triangle")]
-    about = [(model_center.center_px, model_center.half_px)]
-    about += [(each.center_px, (each.box_px[2:] - each.box_px[:2] + 1.0) / 2.0) for each in body]
+    about = [(model_center.center_px, model_center.half_px, turned)]
+    for each in body:
+        half = np.asarray((each.box_px[2:] - each.box_px[:2] + 1.0) / 2.0)
+        about.append((each.center_px, half, _turns_in(each, body, turned)))
     fitted: list[Outline] = []
-    for middle, half in about:
+    for middle, half, tried in about:
         stray_px = STRAY_PX + STRAY_SHARE * 2.0 * half.mean()
-        found = fit_outlines(image, middle, half, turned)
+        found = fit_outlines(image, middle, half, tried)
         away = np.hypot(*(_centers_px(found) - middle).T)
         fitted += [found[row] for row in np.flatnonzero(away <= stray_px).tolist()]
     centers = {}
@@ -185,6 +187,13 @@ def centers_from_outline(
         alike = [outline for outline in fitted if outline.is_of(shape)]
         centers[class_] = _by_outlines(alike, model_center)
     return centers
+
+
+def _turns_in(body: Region, bodies: Sequence[Region], turned: Sequence[str]) -> list[str]:
+    """Return the outlines to try in a body: triangles where the top is whole, others elsewhere."""
+    whole = body.box_px[1] == min(each.box_px[1] for each in bodies)
+    either = len(bodies) == 1
+    return [each for each in turned if either or whole == each.startswith("triangle")]
 
 
 def _centers_px(outlines: Sequence[Outline]) -> FloatArray:

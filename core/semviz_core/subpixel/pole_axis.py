@@ -111,6 +111,7 @@ class _Grid(NamedTuple):
     offsets: FloatArray
     tilts: FloatArray
     widths: FloatArray
+    log_widths: FloatArray
     middles: FloatArray
     """(widths, c)"""
     left: NDArray[np.int64]
@@ -127,11 +128,13 @@ def _grid(reach_px: float, widest_px: float) -> _Grid:
     steps = np.arange(2, round(widest_px / STEP_PX) + 1)
     left = half + np.arange(-count, count + 1) - (steps // 2)[:, None]
     right = left + steps[:, None]
+    widths = np.asarray(steps * STEP_PX, dtype=np.float64)
     return _Grid(
         reach_px,
         offsets,
         tilts,
-        np.asarray(steps * STEP_PX, dtype=np.float64),
+        widths,
+        np.log(widths),
         (offsets[left] + offsets[right]) / 2.0,
         left,
         right,
@@ -169,33 +172,49 @@ class _Means(NamedTuple):
 @compiled
 def _means_along(strip: Samples, tilts: FloatArray) -> _Means:
     rows, columns, _ = strip.shape
-    edges, smooth = edge_votes(strip), _smoothness(strip)
+    most = int(np.ceil(np.abs(tilts).max() / STEP_PX))
+    planes, sums = _planes(strip, most), np.empty((6, columns))
     shape = (len(tilts), columns)
-    means = _Means(np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape))
-    colors = np.zeros((columns, 4))  # the sums of each channel, and of all squares
+    means = _Means(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape))
     for t in range(len(tilts)):
-        colors[:] = 0.0
+        sums[:] = 0.0
         for row in range(rows):
-            shift = round(tilts[t] * ((row + 0.5) / rows * 2.0 - 1.0) / STEP_PX)
-            for column in range(columns):
-                at = min(max(column + shift, 0), columns - 1)
-                means.edge[t, column] += edges[row, at] / rows
-                means.smooth_sum[t, column] += smooth[row, at] / rows
-                for channel in range(3):
-                    value = np.float64(strip[row, at, channel])
-                    colors[column, channel] += value
-                    colors[column, 3] += value**2
+            first = most + round(tilts[t] * ((row + 0.5) / rows * 2.0 - 1.0) / STEP_PX)
+            for part in range(6):
+                shifted, total = planes[row, part, first : first + columns], sums[part]
+                for column in range(columns):
+                    total[column] += shifted[column]
         for column in range(columns):
-            variance = colors[column, 3]
+            variance = sums[5, column]
             for channel in range(3):
-                variance -= colors[column, channel] ** 2 / rows
+                variance -= sums[2 + channel, column] ** 2 / rows
             variance = max(variance, 0.0) / (3.0 * rows)
             means.varied_sum[t, column] = np.log(np.sqrt(variance) + 3.0)
-            means.edge_sum[t, column] = means.edge[t, column]
+            means.edge[t, column] = means.edge_sum[t, column] = sums[0, column] / rows
+            means.smooth_sum[t, column] = sums[1, column] / rows
         for column in range(1, columns):
             for total in (means.edge_sum, means.smooth_sum, means.varied_sum):
                 total[t, column] += total[t, column - 1]
     return means
+
+
+@compiled
+def _planes(strip: Samples, most: int) -> FloatArray:
+    """Return (rows, 6, columns + 2 most) votes for edges and smoothness, the colours, and the sum
+    of their squares; the border is extended."""
+    rows, columns, _ = strip.shape
+    edges, smooth = edge_votes(strip), _smoothness(strip)
+    planes = np.empty((rows, 6, columns + 2 * most))
+    for row in range(rows):
+        for place in range(columns + 2 * most):
+            column, square = min(max(place - most, 0), columns - 1), 0.0
+            for channel in range(3):
+                value = np.float64(strip[row, column, channel])
+                planes[row, 2 + channel, place] = value
+                square += value**2
+            planes[row, 0, place], planes[row, 1, place] = edges[row, column], smooth[row, column]
+            planes[row, 5, place] = square
+    return planes
 
 
 @compiled
@@ -245,7 +264,7 @@ def _parts(means: _Means, grid: _Grid, inside: float, t: int, w: int, c: int) ->
     varied_inside, varied_outside = _inside_and_outside(means.varied_sum[t], a, b)
     return (
         1.0, min(left, right), max(left, right), inside, smooth_inside, smooth_outside, clutter,
-        np.log(grid.widths[w]), (grid.middles[w, c] / grid.reach_px) ** 2,
+        grid.log_widths[w], (grid.middles[w, c] / grid.reach_px) ** 2,
         (grid.tilts[t] / grid.reach_px) ** 2, varied_inside, varied_outside,
     )  # fmt: skip
 

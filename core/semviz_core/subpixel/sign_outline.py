@@ -147,7 +147,8 @@ def find_outlines(
         starts.append(OutlineStart(turned, click_px + off * scale, half, search))
         if len(chosen) == count:
             break
-    return sorted(_with_outer(image, starts), key=lambda outline: -outline.score)
+    fitted = fit_from(image, starts)
+    return _with_outer(image, fitted, fitted)
 
 
 def fit_outlines(
@@ -155,7 +156,8 @@ def fit_outlines(
 ) -> list[Outline]:
     """Return outlines of a sign with about known centre and half size (2,), best first.
 
-    ``shapes`` are those that are tried, as in ``turns_of``.
+    ``shapes`` are those that are tried, as in ``turns_of``. Of several, only the best outline of
+    each may be the inner edge of a border.
     """
     search = float(np.clip(0.35 * half_px.mean(), 2.0, 8.0))
     starts = [
@@ -163,7 +165,9 @@ def fit_outlines(
         for shape in shapes
         for scale in _NEAR
     ]
-    return sorted(_with_outer(image, starts), key=lambda outline: -outline.score)
+    fitted = fit_from(image, starts)
+    best = {outline.shape: outline for outline in sorted(fitted, key=lambda each: each.score)}
+    return _with_outer(image, fitted, fitted if len(best) == 1 else list(best.values()))
 
 
 def edge_directions(
@@ -210,10 +214,12 @@ def fit_scores(maps: NDArray[np.float32], shape: str, aspect: float) -> FloatArr
     return np.asarray(along.mean(axis=-1) + along.min(axis=-1), dtype=np.float64)
 
 
-def _with_outer(image: SampledImage, starts: list["OutlineStart"]) -> list[Outline]:
-    """Return the outlines fitted from each start, and those outside of borders."""
-    fitted = fit_from(image, starts)
-    return [*fitted, *fit_from(image, _outside_borders(image, fitted))]
+def _with_outer(
+    image: SampledImage, fitted: Sequence[Outline], inner: Sequence[Outline]
+) -> list[Outline]:
+    """Return outlines, and those outside of the borders whose inner edges some are, best first."""
+    outer = fit_from(image, _outside_borders(image, inner))
+    return sorted([*fitted, *outer], key=lambda outline: -outline.score)
 
 
 class OutlineStart(NamedTuple):
