@@ -76,6 +76,7 @@ class MapBuildCommand:
         from semviz.workspace.pose_review import pose_errors, with_used_poses
         from semviz_annotation.mapping.build import DEFAULT_TRACKING, build_map
         from semviz_core.base.map_file import save_map
+        from semviz_core.common.jit import Stopwatch
 
         tracking = self._tracking()
         options = self._options()
@@ -89,16 +90,18 @@ class MapBuildCommand:
             calibration = parsing.read_calibration(workspace, self.calibration)
             tracking = replace(tracking, calibration=calibration)
             announce_compiling("the search for tracks")
+        frames, watch = parsing.parse_frames(self.frames), Stopwatch()
         with Steps() as steps:
             built, report = build_map(
                 labels,
                 workspace.source,
                 options,
-                parsing.parse_frames(self.frames),
+                frames,
                 on_progress=steps.show,
                 detections=detections,
                 tracking=tracking or DEFAULT_TRACKING,
                 poses=pose_errors(workspace),
+                watch=watch,
             )
         built = with_used_poses(built, workspace)
         save_map(built, path)
@@ -106,11 +109,18 @@ class MapBuildCommand:
         report = replace(report, in_wrong_poses=poses.wrong_observations if poses else frozenset())
         if self.json:
             said = {} if poses is None else {"poses": review_as_dict(poses)}
+            if detections is not None:
+                said["ms"] = watch.time_ms
             print(json.dumps({"map": str(path), **report.as_dict(), **said}))
         else:
             for line in [] if poses is None else review_lines(poses):
                 print(line)
             print(report)
+            if detections is not None:
+                rows = (row for row in detections.rows() if not frames or row.frame_index in frames)
+                images = {(row.frame_index, row.side) for row in rows}
+                seconds = watch.time_ms["linking"] / 1e3
+                print(f"linked the detections in {len(images)} images in {seconds:.1f} s")
             print(f"{path}: {len(built)} elements, {path.stat().st_size / 1000:.0f} kB")
         return 0
 

@@ -9,6 +9,7 @@ The report counts how the labels were used.
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from importlib.metadata import version
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeAlias
@@ -40,6 +41,7 @@ from semviz_core.base.frame import Dataset
 from semviz_core.base.semantic_map import Decision, Provenance, SemanticMap
 from semviz_core.common.arrays import IntArray
 from semviz_core.common.errors import SemvizError
+from semviz_core.common.jit import Stopwatch
 from semviz_core.pose_checks.refinement import PoseInformation
 
 PART_ID = 1_000_000
@@ -321,18 +323,21 @@ def build_map(
     detections: Proposals | None = None,
     tracking: TrackOptions = DEFAULT_TRACKING,
     poses: PoseInformation | None = None,
+    watch: Stopwatch | None = None,
 ) -> tuple[SemanticMap, BuildReport]:
     """Return the map of elements labelled in two or more images of ``frames`` (None: all).
 
     ``PaperOptions`` build the paper's map. With ``detections``, the landmarks that they show and
     nobody has labelled are added. With ``poses``, covariances include the errors of the poses;
     otherwise poses count as exact, unless they are refined. Triangular signs follow ``labels``.
-    ``on_progress`` gets the stage, the count that is done, and the total. Raise SemvizError if a
-    labelled frame is not in the source or has no pose, or if nothing can be triangulated.
+    ``on_progress`` gets the stage, the count that is done, and the total; ``watch`` the time of
+    "linking" the detections to tracks. Raise SemvizError if a labelled frame is not in the source
+    or has no pose, or if nothing can be triangulated.
     """
     joined = None
     if detections is not None:
-        joined = _join(labels, detections, source, options, tracking, frames, on_progress)
+        linked = partial(_join, labels, detections, source, options, tracking, frames, on_progress)
+        joined = (watch or Stopwatch()).time("linking", linked)
         labels = joined.labels
     gathered = collect_observations(labels, source, frames, joined.sigma_ratio if joined else {})
     if isinstance(options, PaperOptions):
