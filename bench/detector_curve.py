@@ -71,18 +71,21 @@ def main() -> None:
         for model in arguments.models:
             detector = load_detector(model, least_score=LEAST_SCORE)
             print(f"\n{detector.model.name}: {len(images)} images")
-            least = {name: shown(name, found) for name, found in judged(detector, images).items()}
+            found = [detector.detect(image.read()) for image in images]
+            least = {name: shown(name, of_kind) for name, of_kind in judged(found, images).items()}
             own = load_detector(model)
             for photos in arguments.photos:
                 print_marks(photos, detector, own, least)
 
 
-def judged(detector: Detector, images: Sequence[EvaluationImage]) -> dict[str, Judged]:
-    """Detect in the images, and judge poles and signs."""
+def judged(
+    detections: Sequence[Elements2D], images: Sequence[EvaluationImage]
+) -> dict[str, Judged]:
+    """Judge the poles and signs found in each image."""
     rows: dict[str, list[tuple[float, bool, bool]]] = {name: [] for name in KINDS}
     there = dict.fromkeys(KINDS, 0)
-    for image in images:
-        found, truth = detector.detect(image.read()), image.truth()
+    for found, image in zip(detections, images, strict=True):
+        truth = image.truth()
         matches = match_detections(found, truth)
         for name, is_line in KINDS.items():
             there[name] += int((truth.counts & (truth.elements.is_line == is_line)).sum())
