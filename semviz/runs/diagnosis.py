@@ -59,8 +59,8 @@ def implicated_elements(run: Run, record: FrameRecord) -> tuple[int, ...]:
     diagnosis = frame_diagnosis(run, record)
     if diagnosis_name(run, record) != diagnosis.kind:
         return ()
-    mapped = set(run.semantic_map.elements.id.tolist())  # a missing element is not in the map
-    return tuple(element for element in diagnosis.fault.elements if element in mapped)
+    elements = diagnosis.fault.elements  # a missing element is not in the map
+    return tuple(element for element in elements if element in run.semantic_map)
 
 
 class DetectionErrors(NamedTuple):
@@ -219,8 +219,8 @@ def noticed_faults(run: Run, record: FrameRecord) -> str:
 
 def _noticed(semantic_map: SemanticMap, fault: Fault) -> tuple[str, str]:
     """Return a fault's element or detection, and by how much it is off, if that is in pixels."""
-    mapped = set(semantic_map.elements.id.tolist())
-    named = [semantic_map.name_of(element) for element in fault.elements if element in mapped]
+    known = (element for element in fault.elements if element in semantic_map)
+    named = [semantic_map.name_of(element) for element in known]
     subject = " and ".join(named or [f"#{row}" for row in fault.rows])
     off_px = _off_px(fault)
     return subject, "" if off_px is None else f"({off_px:.0f} px)"
