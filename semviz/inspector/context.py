@@ -32,6 +32,7 @@ from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError
 
 Cached = TypeVar("Cached")
+Report = Callable[[str, float], None]
 
 
 class RunLibrary:
@@ -52,14 +53,17 @@ class RunLibrary:
     def names(self) -> tuple[str, ...]:
         return tuple(self._paths)
 
-    def run(self, name: str) -> Run:
-        """Return the run ``name``. Raise SemvizError if it is unknown or broken."""
-        from semviz.runs.reader import load_run
+    def run(self, name: str, report: Report = lambda _, share: None) -> Run:
+        """Return the run ``name``; ``report`` gets what reading it has done, and the share of it.
+
+        Raise SemvizError if it is unknown or broken.
+        """
+        from semviz.runs.stored_run import open_run
 
         path = self.path(name)
         with self._lock_of(name):
             if name not in self._runs:
-                self._runs[name] = load_run(path)
+                self._runs[name] = open_run(path, report)
                 gc.freeze()  # runs stay in memory: searching them for garbage would delay all pages
             return self._runs[name]
 
@@ -258,7 +262,7 @@ class PageContext:
 
     def open(self, name: str, frame: int | None) -> None:
         """Show another run at the frame with number ``frame``, or at its worst frame."""
-        run = self.library.run(name)
+        run = self.library.run(name, lambda step, share: self._send_reading(name, step, share))
         self.state = self.state.opened(name, run, frame)
         self._run = run
         self.send_run()
@@ -310,6 +314,9 @@ class PageContext:
 
     def close(self) -> None:
         self._scenes.close(self._session_id)
+
+    def _send_reading(self, name: str, step: str, share: float) -> None:
+        self.send(views.ReadingEvent(name=name, step=step, share=share))
 
     def _drawn(self) -> None:
         for panel in self.panels:

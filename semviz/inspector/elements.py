@@ -13,10 +13,10 @@ from semviz.inspector import views_run
 from semviz.inspector.context import Background, Panel
 from semviz.inspector.element_card import map_row, provenance_of
 from semviz.inspector.messages import FindFramesRequest, GetElementsRequest, ShowForecastRequest
-from semviz.inspector.state import matched_elements
 from semviz.inspector.views import number
 from semviz.inspector.views_run import ForecastEvent, ForecastView, SuggestedElement
 from semviz.runs.diagnosis import run_diagnosis, run_elements
+from semviz.runs.frame_table import frame_table
 from semviz.runs.run import Run
 from semviz.runs.story import RunStory, tell
 from semviz.web.protocol import handles
@@ -93,12 +93,11 @@ class ElementPanel(Panel):
 
 def frames_of(run: Run, element_id: int) -> list[int]:
     """Return the positions of the frames that detect an element, or whose estimate uses it."""
-    return [
-        position
-        for position, record in enumerate(run.frames)
-        if np.any(record.element_id == element_id)
-        or element_id in matched_elements(run, position).values()
-    ]
+    table = frame_table(run)
+    detecting = table.frame_of_detection()[table.detected_id == element_id]
+    using = table.frame_of_pair()[table.pair_id == element_id]
+    positions: list[int] = np.union1d(detecting, using).tolist()
+    return positions
 
 
 def findings_view(run: Run, findings: Findings) -> views_run.RunFindings:
@@ -130,7 +129,7 @@ def _recurring_fault(run: Run, fault: RunFault) -> views_run.RunFaultView:
         kind=fault.kind,
         sentence=fault.sentence,
         evidence=_evidence(fault),
-        frames=tuple(run.frames[position].frame.index for position in fault.frames),
+        frames=tuple(frame_table(run).index[list(fault.frames)].tolist()),
         element=known[0] if known else None,
         observed=None if known or not fault.rows else fault.rows[middle],
         position=fault.frames[middle],
@@ -139,10 +138,6 @@ def _recurring_fault(run: Run, fault: RunFault) -> views_run.RunFaultView:
 
 def _camera_fault(run: Run, fault: Fault) -> views_run.RunFaultView:
     """Return a calibration fault with the frame that has the most pairs."""
-    pairs = [
-        0 if localization.refinement is None else len(localization.refinement.pairs)
-        for localization in run.localizations
-    ]
     return views_run.RunFaultView(
         kind=fault.kind,
         sentence=fault.sentence,
@@ -150,7 +145,7 @@ def _camera_fault(run: Run, fault: Fault) -> views_run.RunFaultView:
         frames=(),
         element=None,
         observed=None,
-        position=pairs.index(max(pairs)),
+        position=int(frame_table(run).pairs.argmax()),
     )
 
 

@@ -18,6 +18,7 @@ from semviz.inspector.selection import SelectionPanel, matrix_route
 from semviz.inspector.solver import SolverPanel
 from semviz.inspector.story import StoryPanel
 from semviz.inspector.what_if import WhatIfPanel
+from semviz.runs.stored_run import check_run_head
 from semviz.web.protocol import Handlers, Request, SceneEvent
 from semviz.web.sessions import Send, Sessions
 from semviz.web.viser_servers import ViserServers
@@ -51,7 +52,7 @@ class Inspector:
     def __init__(self, paths: Sequence[Path]) -> None:
         self._library = RunLibrary(paths)
         if len(paths) == 1:  # a single broken run is an error at once
-            self._library.run(self._library.names[0])
+            check_run_head(paths[0])
         self._annotators = EmbeddedAnnotators()
         self.scenes = ViserServers()
         self._sessions = Sessions(self._session, HANDLERS.decode)

@@ -11,7 +11,7 @@ from semviz.inspector.elements import RunAnalysis
 from semviz.inspector.messages import GetStoryRequest
 from semviz.inspector.views import number
 from semviz.inspector.views_run import StoryCause, StoryEvent, StoryPart, StoryView
-from semviz.runs.metrics import errors_of, is_overconfident
+from semviz.runs.frame_table import frame_table
 from semviz.runs.run import Run
 from semviz.runs.story import (
     Cause,
@@ -47,24 +47,18 @@ class StoryPanel(Panel):
 
 def story_view(story: RunStory) -> StoryView:
     """Return a story as the page gets it."""
-    frames = story.run.frames
-    counts, times = counts_by_status(story.run), [record.frame.time_s for record in frames]
-    errors = [errors_of(record) for record in frames]
-    known_m = [error.distance_m for error in errors if error is not None]
-    overconfident = sum(
-        is_overconfident(record.localization, error)
-        for record, error in zip(frames, errors, strict=True)
-    )
+    table, counts = frame_table(story.run), counts_by_status(story.run)
+    known_m = table.distance_m[np.isfinite(table.distance_m)]
     return StoryView(
         headline=story.headline,
         detail=story.detail,
         length_m=round(story.length_m, 1),
-        seconds=round(times[-1] - times[0], 1),
-        median_m=number(np.median(known_m)) if known_m else None,
+        seconds=round(float(table.time_s[-1] - table.time_s[0]), 1),
+        median_m=number(np.median(known_m)) if len(known_m) else None,
         ok=counts["ok"],
         ambiguous=counts["ambiguous"],
         cannot=counts["cannot"],
-        overconfident=overconfident if known_m else None,
+        overconfident=int(table.is_overconfident.sum()) if len(known_m) else None,
         causes=tuple(_cause_view(story, cause) for cause in story.causes),
         route=tuple(_part_view(part) for part in story.route),
     )

@@ -69,7 +69,7 @@ class FrameTable:
     @property
     def is_ok(self) -> BoolArray:
         """(n,) whether the status is ok."""
-        return self.status == STATUSES.index("ok")
+        return np.asarray(self.status == STATUSES.index("ok"))
 
     @property
     def is_overconfident(self) -> BoolArray:
@@ -79,7 +79,7 @@ class FrameTable:
     @property
     def has_truth(self) -> BoolArray:
         """(n,) whether the true pose is known."""
-        return np.isfinite(self.truth_m).all(axis=1)
+        return np.asarray(np.isfinite(self.truth_m).all(axis=1))
 
     def texts_of(self, rows: IntArray) -> list[str]:
         """Return the texts of a column."""
@@ -132,7 +132,9 @@ class TableBuilder:
         self.positions.append(np.stack(centers))
         name = diagnosis_name(self.run, record)
         texts = result.reason, name, noticed_faults(self.run, record)
-        reason, diagnosis, noticed = (self.texts.setdefault(text, len(self.texts)) for text in texts)
+        reason, diagnosis, noticed = (
+            self.texts.setdefault(text, len(self.texts)) for text in texts
+        )
         self.named.append((reason, diagnosis, noticed))
         self.detected.append(record.element_id)
         self.paired.append(_pairs(record))

@@ -112,14 +112,14 @@ def assemble(path: Path, rows: dict[str, list[Row]], damaged: bool) -> Run:
             of_frames.setdefault(frame, {}).setdefault(entity, {}).update(row)
     frames, damaged_frames, written = [], [], 0
     try:
-        for number in sorted(frame for frame in of_frames if run.FRAME in of_frames[frame]):
+        for number in sorted(number for number, row in of_frames.items() if run.FRAME in row):
             try:
-                frame = read_frame(of_frames[number], number, head)
+                found = read_frame(of_frames[number], number, head)
             except DamagedRowError:
                 damaged_frames.append(number)
             else:
-                frames.append(frame.record)
-                written = max(written, frame.ordinal + 1)
+                frames.append(found.record)
+                written = max(written, found.ordinal + 1)
     except (*BROKEN, SemvizError) as error:
         raise broken_run(path, error) from None
     return head.run(tuple(frames), tuple(damaged_frames), written)
@@ -259,5 +259,5 @@ def decode_row(kind: type[Value], row: Pools) -> Value:
 
 def _image(row: Pools) -> bytes | None:
     """Return an image. A blob is one list of bytes, or none."""
-    blob = row.get(BLOB, ())
-    return np.asarray(blob[-1]).tobytes() if len(blob) else None
+    images = [np.asarray(image).tobytes() for image in row.get(BLOB, ())]
+    return images[-1] if images else None

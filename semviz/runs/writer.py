@@ -220,9 +220,7 @@ class RunWriter:
         self._flush()
         start, stop = np.array(self._places, np.int64).reshape(-1, 2).T
         columns = Columns()
-        _add_exact(
-            columns, run.TABLE, StoredTable(self._table.table(), start, stop, self._size())
-        )
+        _add_exact(columns, run.TABLE, StoredTable(self._table.table(), start, stop, self._size()))
         columns.send(self._stream)
         self._flush()
 

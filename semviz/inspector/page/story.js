@@ -5,7 +5,7 @@ import { byId, el, fill, fixed } from "/static/dom.js";
 import { statusMark } from "/static/glyphs.js";
 import { StoryMap } from "./story_map.js";
 
-/** @typedef {import("/static/protocol").inspector.RunView} RunView */
+/** @typedef {import("./run_rows.js").OpenRun} OpenRun */
 /** @typedef {import("/static/protocol").inspector.StoryCause} StoryCause */
 /** @typedef {import("/static/protocol").inspector.StoryEvent} StoryEvent */
 /** @typedef {import("/static/protocol").inspector.StoryView} StoryView */
@@ -41,7 +41,7 @@ export class Story {
     return this.page.views.shown === "story";
   }
 
-  /** @param {RunView} run */
+  /** @param {OpenRun} run */
   showRun(run) {
     if (run.name !== this.run) {
       this.found = null;

@@ -1814,25 +1814,27 @@ export interface ForgetWhatIfRequest {
   number: number;
 }
 
+/** Columns over all frames. Errors are null without a pose or ground truth. */
+export interface FrameColumns {
+  index: Array<number>;
+  status: Array<number>;
+  statuses: Array<string>;
+  texts: Array<string>;
+  reason: Array<number>;
+  diagnosis: Array<number>;
+  noticed: Array<number>;
+  overconfident: Array<number>;
+  error_m: Array<number | null>;
+  error_deg: Array<number | null>;
+  ms: Array<number>;
+}
+
 /** Another frame is shown. */
 export interface FrameEvent {
   type: "frame";
   reply_to: string | null;
   frame: FrameView;
   state: StateView;
-}
-
-/** A frame in lists. Errors are null without a pose or ground truth. */
-export interface FrameRow {
-  index: number;
-  status: "ok" | "ambiguous" | "cannot";
-  reason: string;
-  diagnosis: string;
-  overconfident: boolean;
-  noticed: string;
-  error_m: number | null;
-  error_deg: number | null;
-  ms: number;
 }
 
 /** A frame with all that the page draws of it. */
@@ -2378,7 +2380,7 @@ export interface RunView {
   camera: string;
   classes: Array<ElementClassView>;
   note: string;
-  frames: Array<FrameRow>;
+  frames: FrameColumns;
   median_m: number | null;
   ok_share: number;
 }
