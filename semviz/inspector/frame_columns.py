@@ -29,23 +29,23 @@ class FrameColumns(Part):
 def frame_columns(table: FrameTable) -> FrameColumns:
     """Return the columns of a run's table that the page lists and draws."""
     return FrameColumns.model_construct(  # unchecked: a check of each value takes seconds
-        index=table.index.tolist(),
-        status=table.status.tolist(),
+        index=tuple(table.index.tolist()),
+        status=tuple(table.status.tolist()),
         statuses=STATUSES,
         texts=table.texts,
-        reason=table.reason.tolist(),
-        diagnosis=table.diagnosis.tolist(),
-        noticed=table.noticed.tolist(),
-        overconfident=np.flatnonzero(table.is_overconfident).tolist(),
+        reason=tuple(table.reason.tolist()),
+        diagnosis=tuple(table.diagnosis.tolist()),
+        noticed=tuple(table.noticed.tolist()),
+        overconfident=tuple(np.flatnonzero(table.is_overconfident).tolist()),
         error_m=_numbers(table.distance_m),
         error_deg=_numbers(table.angle_deg),
-        ms=table.solve_ms.round(2).tolist(),
+        ms=tuple(table.solve_ms.round(2).tolist()),
     )
 
 
-def _numbers(column: FloatArray) -> list[float | None]:
+def _numbers(column: FloatArray) -> tuple[float | None, ...]:
     """Return a column with null for unknown values, to a tenth of a millimetre."""
     values: list[float | None] = column.round(4).tolist()
     for position in np.flatnonzero(np.isnan(column)).tolist():
         values[position] = None
-    return values
+    return tuple(values)
