@@ -384,6 +384,7 @@ InspectorEvent = (
     HelloEvent
     | views.RunsEvent
     | SceneEvent
+    | views.ReadingEvent
     | views.RunEvent
     | views.FrameEvent
     | views.StateEvent

@@ -6,7 +6,7 @@ background thread.
 
 import numpy as np
 
-from semviz.inspector.context import Panel
+from semviz.inspector.context import PageContext, Panel
 from semviz.inspector.elements import RunAnalysis
 from semviz.inspector.messages import GetStoryRequest
 from semviz.inspector.views import number
@@ -30,9 +30,13 @@ EXAMPLES = 3
 class StoryPanel(Panel):
     """Sends the story of the open run on request."""
 
+    def __init__(self, context: PageContext) -> None:
+        super().__init__(context)
+        self._sent: RunStory | None = None
+
     @handles(GetStoryRequest)
     def _get(self, _: GetStoryRequest) -> None:
-        run = self.context.run
+        self._sent, run = None, self.context.run
         self.context.cached(RunAnalysis).start(lambda: self._on_progress(run))
 
     def _on_progress(self, run: Run) -> None:
@@ -41,8 +45,11 @@ class StoryPanel(Panel):
             if self.context.run is not run:
                 return
             analysis = self.context.cached(RunAnalysis)
-            progress = "" if analysis.diagnosed is not None else analysis.progress
-            self.context.send(StoryEvent(progress=progress, found=story_view(analysis.story)))
+            progress = "" if analysis.value is not None else analysis.progress
+            story, diagnosed = analysis.story, len(analysis.positions)
+            found = None if story is self._sent else story_view(story)
+            self._sent = story
+            self.context.send(StoryEvent(progress=progress, diagnosed=diagnosed, found=found))
 
 
 def story_view(story: RunStory) -> StoryView:

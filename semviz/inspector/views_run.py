@@ -28,15 +28,15 @@ class RunFaultView(Part):
 
 
 class ElementRow(Part):
-    """A map element over the run: positions of frames, and its effect on the error."""
+    """A map element over the run: numbers of frames, and its effect on the error."""
 
     id: int
     name: str
     class_id: int
     in_view: int
-    seen: tuple[int, ...]
-    used: tuple[int, ...]
-    outlier: tuple[int, ...]
+    seen: int
+    used: int
+    outlier: int
     share: float | None
     median_px: float | None
     cost_m: float | None
@@ -115,11 +115,16 @@ class StoryView(Part):
 
 
 class StoryEvent(Event):
-    """The story of the run. It has no causes of the run as a whole while ``progress`` has text."""
+    """The story of the run, None if it is as before, and the progress of its diagnosis.
+
+    It has no causes of the run as a whole while ``progress`` has text.
+    """
 
     type: Literal["story"] = "story"
     progress: str
-    found: StoryView
+    diagnosed: int
+    """Frames that causes of the whole run are looked for in."""
+    found: StoryView | None
 
 
 class SuggestedElement(Part):

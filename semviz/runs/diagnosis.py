@@ -103,22 +103,33 @@ def truth_of(run: Run, record: FrameRecord) -> GroundTruth | None:
 
 
 def run_diagnosis(
-    run: Run, watch: reference.ProgressCallback = reference.no_progress
+    run: Run,
+    watch: reference.ProgressCallback = reference.no_progress,
+    positions: Sequence[int] | None = None,
 ) -> RunDiagnosis:
-    """Return the faults of camera and map that recur over the frames."""
-    odometry = [frame.odometry for frame in run.frames]
-    return diagnose_run(_localized(run), run.semantic_map, detector_of(run), watch, odometry)
+    """Return the faults of camera and map that recur over the frames, or over some of them.
+
+    Frames at ``positions`` are held in memory, all at once.
+    """
+    rows = range(len(run.frames)) if positions is None else positions
+    frames = [run.frames[position] for position in rows]
+    localized = [(frame.localization, truth_of(run, frame)) for frame in frames]
+    odometry = [
+        frame.odometry if row and rows[row - 1] == rows[row] - 1 else None
+        for row, frame in enumerate(frames)
+    ]
+    found = diagnose_run(localized, run.semantic_map, detector_of(run), watch, odometry)
+    return found if positions is None else found.at(positions)
 
 
 def run_elements(
     run: Run, watch: reference.ProgressCallback = reference.no_progress
 ) -> tuple[ElementRecord, ...]:
     """Return every map element in view of some frame; outliers in most frames first."""
-    return element_records(_localized(run), run.semantic_map, detector_of(run), watch)
-
-
-def _localized(run: Run) -> list[tuple[Localization, GroundTruth | None]]:
-    return [(frame.localization, truth_of(run, frame)) for frame in run.frames]
+    localized = ((frame.localization, truth_of(run, frame)) for frame in run.frames)
+    return element_records(
+        localized, run.semantic_map, detector_of(run), watch, total=len(run.frames)
+    )
 
 
 LISTED = 2

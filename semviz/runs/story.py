@@ -267,6 +267,27 @@ def _merged_passes(centers: FloatArray, starts: IntArray, part_m: float) -> list
     return merged
 
 
+STRETCH = 50
+"""Consecutive frames, so that several see the same elements."""
+
+
+def typical_positions(run: Run, most: int) -> list[int]:
+    """Return the positions of at most so many frames, in order, that stand for a long run.
+
+    They are whole stretches: half of them where most frames are wrong, the others evenly spread.
+    """
+    frames = len(run.frames)
+    if frames <= most:
+        return list(range(frames))
+    starts, chosen = np.arange(0, frames, STRETCH), most // STRETCH
+    wrong = np.add.reduceat(wrong_frames(run).astype(np.int64), starts)
+    worst = np.argsort(-wrong, kind="stable")[: chosen // 2]
+    others = np.setdiff1d(np.arange(len(starts)), worst)
+    spread = others[np.linspace(0, len(others) - 1, chosen - len(worst)).astype(np.int64)]
+    rows = np.sort(starts[np.concatenate([worst, spread])])
+    return [int(k) for start in rows for k in range(start, min(start + STRETCH, frames))]
+
+
 def counts_by_status(run: Run) -> Counter[str]:
     """Return the number of frames of each status."""
     rows = np.bincount(frame_table(run).status, minlength=len(STATUSES))

@@ -228,7 +228,9 @@ def test_the_page_says_that_a_run_is_being_read_and_stops_saying_it(
 ) -> None:
     released, read = Event(), RunLibrary.run
 
-    def slow(self: RunLibrary, name: str, report: Callable[[str, float], None]) -> Run:
+    def slow(
+        self: RunLibrary, name: str, report: Callable[[str, float], None] = lambda _, share: None
+    ) -> Run:
         report("reading its frames", 0.25)
         released.wait(60.0)
         return read(self, name)

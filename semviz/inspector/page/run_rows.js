@@ -2,24 +2,29 @@
 /* The open run, with a row for each frame made of the columns that arrive. */
 
 /** @typedef {import("/static/protocol").inspector.FrameColumns} FrameColumns */
-/** @typedef {import("/static/protocol").inspector.FrameRow} FrameRow */
+/** @typedef {import("/static/protocol").inspector.FrameView} FrameView */
 /** @typedef {import("/static/protocol").inspector.RunView} RunView */
-/** @typedef {Omit<RunView, "frames"> & {frames: FrameRow[]}} OpenRun */
+/** @typedef {Pick<FrameView, "index" | "status" | "reason" | "diagnosis" | "noticed" | "overconfident" | "error_m" | "error_deg" | "ms">} FrameRow a frame in lists */
+/** @typedef {FrameRow & {position: number}} PlacedRow a frame at its position in the run */
+/** @typedef {Omit<RunView, "frames"> & {frames: PlacedRow[]}} OpenRun */
 
-/** @param {RunView} run
+/**
+ * @param {RunView} run
  * @returns {OpenRun}
  */
 export function openRun(run) {
   return { ...run, frames: frameRows(run.frames) };
 }
 
-/** @param {FrameColumns} columns
- * @returns {FrameRow[]}
+/**
+ * @param {FrameColumns} columns
+ * @returns {PlacedRow[]}
  */
 function frameRows({ index, status, statuses, texts, reason, diagnosis, noticed, overconfident, error_m: errorM, error_deg: errorDeg, ms }) {
   const rows = index.map((number, position) => ({
+    position,
     index: number,
-    status: statuses[status[position]],
+    status: /** @type {FrameRow["status"]} */ (statuses[status[position]]),
     reason: texts[reason[position]],
     diagnosis: texts[diagnosis[position]],
     noticed: texts[noticed[position]],

@@ -13,7 +13,7 @@ import { TimelineAxes, drawCursor, drawFrameNumbers, drawScale } from "./timelin
 /** @typedef {import("/static/protocol").inspector.ComparisonView} ComparisonView */
 /** @typedef {import("/static/protocol").inspector.ForecastEvent} ForecastEvent */
 /** @typedef {import("/static/protocol").inspector.ForecastView} ForecastView */
-/** @typedef {import("/static/protocol").inspector.FrameRow} FrameRow */
+/** @typedef {import("./run_rows.js").FrameRow} FrameRow */
 /** @typedef {import("./run_rows.js").OpenRun} OpenRun */
 /** @typedef {import("/static/protocol").inspector.StateView} StateView */
 /** @typedef {FrameRow["status"]} Status */

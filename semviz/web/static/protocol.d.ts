@@ -1737,15 +1737,15 @@ export interface ElementFramesEvent {
   positions: Array<number>;
 }
 
-/** A map element over the run: positions of frames, and its effect on the error. */
+/** A map element over the run: numbers of frames, and its effect on the error. */
 export interface ElementRow {
   id: number;
   name: string;
   class_id: number;
   in_view: number;
-  seen: Array<number>;
-  used: Array<number>;
-  outlier: Array<number>;
+  seen: number;
+  used: number;
+  outlier: number;
   share: number | null;
   median_px: number | null;
   cost_m: number | null;
@@ -2280,6 +2280,15 @@ export interface PoseDifference {
   deg: number;
 }
 
+/** A run is read through before it opens: what is done, and the share of it that is done. */
+export interface ReadingEvent {
+  type: "reading";
+  reply_to: string | null;
+  name: string;
+  step: string;
+  share: number;
+}
+
 /** Build the map from the labels again and localize the run in it. */
 export interface RebuildMapRequest {
   type: "rebuild_map";
@@ -2626,12 +2635,13 @@ export interface StoryCause {
   parts: Array<number>;
 }
 
-/** The story of the run. It has no causes of the run as a whole while ``progress`` has text. */
+/** The story of the run, None if it is as before, and the progress of its diagnosis. It has no causes of the run as a whole while ``progress`` has text. */
 export interface StoryEvent {
   type: "story";
   reply_to: string | null;
   progress: string;
-  found: StoryView;
+  diagnosed: number;
+  found: StoryView | null;
 }
 
 /** A part of the route: map points (m), its frames and wrong frames, and the worst one. */
@@ -2873,6 +2883,7 @@ export interface Events {
   neighbours: NeighboursEvent;
   origins: OriginsEvent;
   over_time: OverTimeEvent;
+  reading: ReadingEvent;
   right_image: RightImageEvent;
   run: RunEvent;
   runs: RunsEvent;
