@@ -151,6 +151,9 @@ class Panel:
     def __init__(self, context: "PageContext") -> None:
         self.context = context
 
+    def on_opened(self) -> None:
+        """Another run was opened, and its map is not drawn yet."""
+
     def on_run(self) -> None:
         """Another run was opened."""
 
@@ -266,6 +269,8 @@ class PageContext:
         self.state = self.state.opened(name, run, frame)
         self._run = run
         self.send_run()
+        for panel in self.panels:
+            panel.on_opened()
         self.draw_run()
         for panel in self.panels:
             panel.on_run()

@@ -23,6 +23,8 @@ from semviz.runs.story import (
 )
 from semviz.web.protocol import handles
 
+LONG_RUN = 200
+"""Frames; pages of longer runs open with their story, which comes before the 3D view is drawn."""
 EXAMPLES = 3
 """Frames that are offered for a cause."""
 
@@ -34,22 +36,30 @@ class StoryPanel(Panel):
         super().__init__(context)
         self._sent: RunStory | None = None
 
+    def on_opened(self) -> None:
+        self._sent = None
+        if len(self.context.run.frames) > LONG_RUN:
+            self._send()
+
     @handles(GetStoryRequest)
     def _get(self, _: GetStoryRequest) -> None:
-        self._sent, run = None, self.context.run
+        run = self.context.run
         self.context.cached(RunAnalysis).start(lambda: self._on_progress(run))
 
     def _on_progress(self, run: Run) -> None:
         """Called in the background thread; the page may show another run by then."""
         with self.context.lock:
-            if self.context.run is not run:
-                return
-            analysis = self.context.cached(RunAnalysis)
-            progress = "" if analysis.value is not None else analysis.progress
-            story, diagnosed = analysis.story, len(analysis.positions)
-            found = None if story is self._sent else story_view(story)
-            self._sent = story
-            self.context.send(StoryEvent(progress=progress, diagnosed=diagnosed, found=found))
+            if self.context.run is run:
+                self._send()
+
+    def _send(self) -> None:
+        """Send the story unless it is the one sent last, and the progress of the diagnosis."""
+        analysis = self.context.cached(RunAnalysis)
+        progress = "" if analysis.value is not None else analysis.progress
+        story, diagnosed = analysis.story, len(analysis.positions)
+        found = None if story is self._sent else story_view(story)
+        self._sent = story
+        self.context.send(StoryEvent(progress=progress, diagnosed=diagnosed, found=found))
 
 
 def story_view(story: RunStory) -> StoryView:

@@ -6,7 +6,7 @@ not in the map may be of any element.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -126,10 +126,21 @@ def run_elements(
     run: Run, watch: reference.ProgressCallback = reference.no_progress
 ) -> tuple[ElementRecord, ...]:
     """Return every map element in view of some frame; outliers in most frames first."""
-    localized = ((frame.localization, truth_of(run, frame)) for frame in run.frames)
-    return element_records(
-        localized, run.semantic_map, detector_of(run), watch, total=len(run.frames)
-    )
+    return element_records(_LocalizedFrames(run), run.semantic_map, detector_of(run), watch)
+
+
+class _LocalizedFrames(Sequence[tuple[Localization, GroundTruth | None]]):
+    """The frames of a run with their ground truth, each made when it is needed."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+
+    def __len__(self) -> int:
+        return len(self._run.frames)
+
+    def __getitem__(self, position: Any) -> Any:
+        frame = self._run.frames[position]
+        return frame.localization, truth_of(self._run, frame)
 
 
 LISTED = 2

@@ -14,6 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, overload
 
+import pyarrow as pa
+
 from semviz.runs import run
 from semviz.runs.codec import DamagedRowError, verify_row
 from semviz.runs.frame_table import KNOWN_TABLES, FrameTable, TableBuilder
@@ -38,7 +40,7 @@ from semviz.runs.run import FrameRecord, Run
 from semviz_core.common.arrays import IntArray
 from semviz_core.common.errors import SemvizError
 
-HELD = 256
+HELD = 128
 """Frames kept in memory, of those that were used last."""
 Place = tuple[int, int]
 """First byte of messages in a file, and the byte after them."""
@@ -71,6 +73,8 @@ def open_run(path: Path | str, report: Report = lambda _, share: None) -> Run:
         return _opened_by_table(path) or _opened_by_reading(path, report)
     except OSError as error:
         raise SemvizError(f"{path}: cannot be read ({error.strerror})") from None
+    finally:
+        pa.default_memory_pool().release_unused()
 
 
 def check_run_head(path: Path) -> None:

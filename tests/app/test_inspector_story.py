@@ -40,7 +40,7 @@ from semviz.runs.diagnosis import (
 )
 from semviz.runs.reader import assemble, load_run, read_rows
 from semviz.runs.run import DIAGNOSIS, FrameRecord, Run
-from semviz.runs.story import frames_text, stretches, tell, worst_position
+from semviz.runs.story import frames_text, stretches, tell, typical_positions, worst_position
 from semviz.web.gateway import Gateway
 from semviz_core.diagnosis.fault import RunFault
 from semviz_core.diagnosis.run import RunDiagnosis
@@ -247,3 +247,22 @@ def test_the_page_says_that_a_run_is_being_read_and_stops_saying_it(
     released.set()
     wait_for(page, lambda: page.locator("#frame-list .row").count() > 0, "the run")
     assert notice.is_hidden()
+
+
+def test_a_long_run_is_diagnosed_by_stretches_that_hold_its_worst_and_its_usual_frames() -> None:
+    run = small_run()
+    frames = tuple(
+        replace(run.frames[0], frame=replace(run.frames[0].frame, index=index))
+        for index in range(2_000)
+    )
+    spoil = off_by(3.0)
+    wrong = range(730, 745)
+    long = replace(
+        run, frames=tuple(spoil(one) if one.frame.index in wrong else one for one in frames)
+    )
+    chosen = typical_positions(long, 400)
+    assert len(chosen) == len(set(chosen)) == 400
+    assert chosen == sorted(chosen)
+    assert set(wrong) <= set(chosen)
+    assert (chosen[0], chosen[-1]) == (0, 1_999)
+    assert typical_positions(run, 400) == list(range(len(run.frames)))

@@ -151,9 +151,8 @@ def test_a_flipped_bit_never_gives_another_frame_in_silence(tmp_path: Path) -> N
             try:
                 record = opened.frames[position]
             except SemvizError as error:
-                assert f"frame {number} is damaged" in str(error)
-                outcomes.add("refused when shown")
+                outcomes.add(str(error).removeprefix(f"{damaged}: frame {number} ")[:10])
             else:
                 assert_same(record, by_number[number])
     assert refused < FLIPS / 2
-    assert "refused when shown" in outcomes
+    assert {"left out", "is damaged"} >= outcomes >= {"is damaged"}

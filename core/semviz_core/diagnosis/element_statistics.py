@@ -1,6 +1,6 @@
 """Statistics of each map element over a run: in view, detected, inlier, effect on the error."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -56,22 +56,21 @@ class ElementRecord:
 
 
 def element_records(
-    frames: Iterable[tuple[Localization, GroundTruth | None]],
+    frames: Sequence[tuple[Localization, GroundTruth | None]],
     semantic_map: SemanticMap,
     detector: DetectorModel | None = None,
     watch: reference.ProgressCallback = reference.no_progress,
-    total: int = 0,
 ) -> tuple[ElementRecord, ...]:
     """Return records of all elements in view or detected, sorted by falling outlier count.
 
-    Frames are taken one by one; ``watch`` learns that there are ``total``.
+    Frames are taken one by one, so they may come from a file.
     """
     records: dict[int, ElementRecord] = {}
     cases = (
         reference.FrameReference.of(localization, semantic_map, truth, detector)
         for localization, truth in frames
     )
-    for position, case in enumerate(watch(cases, "checking elements", total)):
+    for position, case in enumerate(watch(cases, "checking elements", len(frames))):
         if case.reference is not None:
             _add_case(records, position, case)
     return tuple(sorted(records.values(), key=lambda record: (-len(record.outlier), record.id)))

@@ -46,6 +46,7 @@ import { WhyCard } from "./why.js";
 /** @typedef {import("./run_rows.js").OpenRun} OpenRun */
 
 const POINT_DELAY_MS = 50; // a frame that arrives sooner is painted once, not twice
+const OPENING_MS = 400; // a run that opens sooner needs no notice
 const PLAY_INTERVAL_MS = 60; // between frames
 
 export class Page {
@@ -57,6 +58,8 @@ export class Page {
     this.scene = null;
     /** @type {ReturnType<typeof setTimeout> | null} */
     this.pointing = null;
+    /** @type {ReturnType<typeof setTimeout> | undefined} */
+    this.opening = undefined;
     /** @type {PageSocket<Requests, Events>} */
     this.socket = new PageSocket();
     this.image = new ImagePanel(this, () => this.imagePainted());
@@ -131,6 +134,7 @@ export class Page {
 
   /** @param {string} text */
   showError(text) {
+    clearTimeout(this.opening);
     this.notice(text);
     this.address.cancel();
     this.store.cancel();
@@ -153,11 +157,13 @@ export class Page {
    * @param {ReadingEvent} event
    */
   showReading({ name, step, share }) {
+    clearTimeout(this.opening);
     this.notice(`Opening ${name}: ${step}, ${Math.round(100 * share)} %`, true);
   }
 
   /** @param {OpenRun} run */
   showRun(run) {
+    clearTimeout(this.opening);
     this.store.run = run;
     this.notice(run.note, true);
     this.forEachPanel((panel) => panel.showRun?.(run));
@@ -212,6 +218,8 @@ export class Page {
    */
   open(run, frame) {
     this.socket.send("open_run", { run, frame, theme: currentTheme() });
+    clearTimeout(this.opening);
+    this.opening = setTimeout(() => this.notice(`Opening ${run ?? this.store.names[0] ?? ""}…`, true), OPENING_MS);
   }
 
   /** @param {number} position */
