@@ -18,7 +18,7 @@ from typing import Any, Generic, TypeVar, cast
 
 from aiohttp import web
 
-from semviz.inspector import views
+from semviz.inspector import views, views_run
 from semviz.inspector.scene_view import InspectorScene
 from semviz.inspector.state import State
 from semviz.runs.images import frame_image, missing_image_reason
@@ -297,7 +297,7 @@ class PageContext:
 
     def send_runs(self) -> None:
         """Send the names of the runs that can be opened."""
-        self.send(views.RunsEvent(names=self.library.names))
+        self.send(views_run.RunsEvent(names=self.library.names))
 
     def send_run(self) -> None:
         """Send the run and its frame."""
@@ -321,7 +321,7 @@ class PageContext:
         self._scenes.close(self._session_id)
 
     def _send_reading(self, name: str, step: str, share: float) -> None:
-        self.send(views.ReadingEvent(name=name, step=step, share=share))
+        self.send(views_run.ReadingEvent(name=name, step=step, share=share))
 
     def _drawn(self) -> None:
         for panel in self.panels:

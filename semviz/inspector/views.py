@@ -158,22 +158,6 @@ class StateView(Part):
     neighbours: bool
 
 
-class RunsEvent(Event):
-    """The runs that can be opened."""
-
-    type: Literal["runs"] = "runs"
-    names: tuple[str, ...]
-
-
-class ReadingEvent(Event):
-    """A run is read through before it opens: what is done, and the share of it that is done."""
-
-    type: Literal["reading"] = "reading"
-    name: str
-    step: str
-    share: float
-
-
 class RunEvent(Event):
     """Another run was opened."""
 

@@ -1,4 +1,4 @@
-"""Messages about whole runs: one, with its elements, forecast and decisions, or two compared.
+"""Messages about whole runs: all, one with its elements, forecast and decisions, or two compared.
 
 Of two runs, A is the base, and B is open and compared with it.
 """
@@ -13,6 +13,22 @@ from semviz.runs.metrics import Trend
 from semviz.web.protocol import Event, Part
 from semviz_annotation.storage.operations import EditBase
 from semviz_core.base.localization import Status
+
+
+class RunsEvent(Event):
+    """The runs that can be opened."""
+
+    type: Literal["runs"] = "runs"
+    names: tuple[str, ...]
+
+
+class ReadingEvent(Event):
+    """A run is read through before it opens: what is done, and the share of it that is done."""
+
+    type: Literal["reading"] = "reading"
+    name: str
+    step: str
+    share: float
 
 
 class RunFaultView(Part):

@@ -126,7 +126,7 @@ def assemble(path: Path, rows: dict[str, list[Row]], damaged: bool) -> Run:
 
 
 @dataclass(frozen=True, eq=False)
-class RunHead:
+class FileHead:
     """What a run's file says besides its frames."""
 
     info: RunInfo
@@ -158,11 +158,11 @@ class RunHead:
 
 def read_head(
     path: Path, rows: Mapping[str, list[Row]], damaged: bool, is_checked: bool
-) -> RunHead:
+) -> FileHead:
     """Return the head of a run from the rows of its file. Raise SemvizError as ``load_run``."""
     _check_head(path, rows, damaged, is_checked)
     try:
-        return RunHead(
+        return FileHead(
             info=decode_row(RunInfo, rows[run.INFO][0][1]),
             semantic_map=decode_row(SemanticMap, rows[run.MAP][0][1]),
             written=_frames_written(rows, is_checked),
@@ -190,7 +190,7 @@ class ReadFrame(NamedTuple):
     ordinal: int
 
 
-def read_frame(rows: FrameRows, number: int, head: RunHead) -> ReadFrame:
+def read_frame(rows: FrameRows, number: int, head: FileHead) -> ReadFrame:
     """Return a frame, and note its diagnosis if the file holds that of this version of semviz.
 
     Raise DamagedRowError if it is not as it was written.

@@ -22,10 +22,10 @@ from semviz.runs.frame_table import KNOWN_TABLES, FrameTable, TableBuilder
 from semviz.runs.reader import (
     BLOB,
     BROKEN,
+    FileHead,
     FrameRows,
     ReadFrame,
     Row,
-    RunHead,
     broken_run,
     check_run_file,
     decode_row,
@@ -90,7 +90,7 @@ class StoredFrames(Sequence[FrameRecord]):
     """
 
     def __init__(
-        self, path: Path, head: RunHead, numbers: Sequence[int], places: Sequence[Sequence[Place]]
+        self, path: Path, head: FileHead, numbers: Sequence[int], places: Sequence[Sequence[Place]]
     ) -> None:
         self._path = path
         self._head = head
@@ -172,7 +172,7 @@ def _opened_by_table(path: Path) -> Run | None:
     return opened
 
 
-def _head(path: Path) -> RunHead:
+def _head(path: Path) -> FileHead:
     """Return the head of a run; its end is looked for among the last messages alone."""
     rows: dict[str, list[Row]] = {}
     file, wanted = RrdFile(path), {run.INFO, run.MAP}

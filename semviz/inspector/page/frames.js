@@ -121,6 +121,8 @@ export class FrameList {
   }
 
   showRun() {
+    const digits = String(this.page.store.run.frames.at(-1)?.index ?? 0).length;
+    byId("frames").style.setProperty("--digits", String(Math.max(digits, 4))); // the widest number
     this.clear();
     this.fill();
   }
