@@ -18,6 +18,7 @@ from semviz.inspector.selection import SelectionPanel, matrix_route
 from semviz.inspector.solver import SolverPanel
 from semviz.inspector.story import StoryPanel
 from semviz.inspector.what_if import WhatIfPanel
+from semviz.runs.codec import DamagedRowError
 from semviz.runs.stored_run import check_run_head
 from semviz.web.protocol import Handlers, Request, SceneEvent
 from semviz.web.sessions import Send, Sessions
@@ -105,7 +106,10 @@ class InspectorSession:
     def receive(self, request: Request) -> None:
         """Handle a request of the page. Raise SemvizError if it cannot be met."""
         with self._context.lock:
-            self._handle(request)
+            try:
+                self._handle(request)
+            except DamagedRowError:
+                self._context.open_checked()
 
     def close(self) -> None:
         self._context.close()

@@ -35,21 +35,33 @@ class StoryPanel(Panel):
     def __init__(self, context: PageContext) -> None:
         super().__init__(context)
         self._sent: RunStory | None = None
+        self._wanted = ""
+        """Name of the run whose story the page wants."""
 
     def on_opened(self) -> None:
         self._sent = None
-        if len(self.context.run.frames) > LONG_RUN:
+        if self.context.state.run == self._wanted:  # opened again
+            self._start()
+        elif len(self.context.run.frames) > LONG_RUN:
             self._send()
 
     @handles(GetStoryRequest)
     def _get(self, _: GetStoryRequest) -> None:
-        run = self.context.run
-        self.context.cached(RunAnalysis).start(lambda: self._on_progress(run))
+        self._wanted = self.context.state.run
+        self._start()
 
-    def _on_progress(self, run: Run) -> None:
+    def _start(self) -> None:
+        run, analysis = self.context.run, self.context.cached(RunAnalysis)
+        analysis.start(lambda: self._on_progress(run, analysis))
+
+    def _on_progress(self, run: Run, analysis: RunAnalysis) -> None:
         """Called in the background thread; the page may show another run by then."""
         with self.context.lock:
-            if self.context.run is run:
+            if self.context.run is not run:
+                return
+            if analysis.met_damage:
+                self.context.open_checked()
+            else:
                 self._send()
 
     def _send(self) -> None:

@@ -61,16 +61,19 @@ class StoredTable:
     """First byte of the table itself: the file was not rearranged if it is there."""
 
 
-def open_run(path: Path | str, report: Report = lambda _, share: None) -> Run:
+def open_run(
+    path: Path | str, report: Report = lambda _, share: None, *, checks_frames: bool = False
+) -> Run:
     """Return a run whose frames are read when they are needed, with its table.
 
     Raise SemvizError as ``load_run`` does. A frame that turns out to be damaged when it is read
-    raises one, too; a run without a usable table leaves it out instead.
+    raises DamagedRowError; if ``checks_frames``, or without a usable table, it is left out instead.
     """
     path = Path(path)
     check_run_file(path)
     try:
-        return _opened_by_table(path) or _opened_by_reading(path, report)
+        by_table = None if checks_frames else _opened_by_table(path)
+        return by_table or _opened_by_reading(path, report)
     except OSError as error:
         raise SemvizError(f"{path}: cannot be read ({error.strerror})") from None
     finally:
@@ -95,7 +98,8 @@ class StoredFrames(Sequence[FrameRecord]):
         self._path = path
         self._head = head
         self._numbers = numbers
-        self._places = places
+        self.places = places
+        """Of the messages of each frame."""
         self._file = os.open(path, os.O_RDONLY)
         self._held: OrderedDict[int, FrameRecord] = OrderedDict()
         self._lock = threading.Lock()
@@ -139,7 +143,7 @@ class StoredFrames(Sequence[FrameRecord]):
     def _rows(self, position: int, number: int) -> FrameRows:
         """Return the rows of a frame. Raise DamagedRowError if they cannot be read."""
         rows: FrameRows = {}
-        for start, stop in self._places[position]:
+        for start, stop in self.places[position]:
             part = os.pread(self._file, stop - start, start)
             try:
                 for message in messages_in(part, is_exact):

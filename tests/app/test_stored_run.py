@@ -3,6 +3,7 @@
 import random
 import runpy
 import shutil
+import time
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -10,13 +11,20 @@ from typing import Any
 
 import pytest
 from equality import assert_same
+from small_runs import saved, small_run
 
+from semviz.inspector.context import EmbeddedAnnotators, RunLibrary
+from semviz.inspector.messages import GetStoryRequest, GoToPositionRequest, OpenRunRequest
+from semviz.inspector.server import InspectorSession
+from semviz.inspector.views import FrameEvent, RunEvent
 from semviz.runs import stored_run
 from semviz.runs.frame_table import frame_table
 from semviz.runs.reader import load_run
 from semviz.runs.run import FrameRecord, Run
 from semviz.runs.stored_run import open_run
 from semviz.runs.writer import RunWriter
+from semviz.web.protocol import Event, Request
+from semviz.web.viser_servers import ViserServers
 from semviz_core.common.errors import SemvizError
 
 made_up: dict[str, Any] = runpy.run_path(str(Path(__file__).parents[2] / "bench" / "recording.py"))
@@ -156,3 +164,37 @@ def test_a_flipped_bit_never_gives_another_frame_in_silence(tmp_path: Path) -> N
                 assert_same(record, by_number[number])
     assert refused < FLIPS / 2
     assert {"left out", "is damaged"} >= outcomes >= {"is damaged"}
+
+
+@pytest.mark.parametrize("looked_at", [True, False])
+def test_the_page_leaves_out_a_frame_that_turns_out_to_be_damaged(
+    tmp_path: Path, looked_at: bool
+) -> None:
+    """Whether it is to be shown, or read to diagnose the run."""
+    run = replace(small_run(), info=replace(small_run().info, version=version("semviz")))
+    file = saved(run, tmp_path / "run.rrd")
+    content, number = bytearray(file.read_bytes()), run.frames[3].frame.index
+    frames = open_run(file).frames
+    assert isinstance(frames, stored_run.StoredFrames)
+    ((start, stop),) = frames.places[3]
+    content[(start + stop) // 2] ^= 8
+    file.write_bytes(content)
+    said, scenes = list[Event](), ViserServers()
+    try:
+        library = RunLibrary([file])
+        session = InspectorSession("one", library, EmbeddedAnnotators(), scenes, said.append)
+        session.receive(OpenRunRequest(id="1", frame=run.frames[0].frame.index))
+        asked: Request = GoToPositionRequest(id="2", position=3)
+        session.receive(asked if looked_at else GetStoryRequest(id="2"))
+        for _ in range(600):
+            if sum(isinstance(event, RunEvent) for event in said) == 2:
+                break
+            time.sleep(0.05)
+        _, left = [event.run for event in said if isinstance(event, RunEvent)]
+        assert number not in left.frames.index
+        assert len(left.frames.index) == len(run.frames) - 1
+        assert f"(frame {number})" in left.note
+        last = [event.frame for event in said if isinstance(event, FrameEvent)][-1]
+        assert last.index != number
+    finally:
+        scenes.close_all()
