@@ -13,14 +13,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 from aiohttp import web
 
-from semviz.inspector import views
+from semviz.inspector import views, views_run
 from semviz.inspector.scene_view import InspectorScene
 from semviz.inspector.state import State
+from semviz.runs.codec import DamagedRowError
+from semviz.runs.frame_table import frame_table
 from semviz.runs.images import frame_image, missing_image_reason
 from semviz.runs.run import Run, run_names
 from semviz.web.protocol import Event, RefusedError, SceneEvent
@@ -32,6 +35,7 @@ from semviz_core.base.frame import Side
 from semviz_core.common.errors import SemvizError
 
 Cached = TypeVar("Cached")
+Report = Callable[[str, float], None]
 
 
 class RunLibrary:
@@ -52,16 +56,29 @@ class RunLibrary:
     def names(self) -> tuple[str, ...]:
         return tuple(self._paths)
 
-    def run(self, name: str) -> Run:
-        """Return the run ``name``. Raise SemvizError if it is unknown or broken."""
-        from semviz.runs.reader import load_run
+    def run(self, name: str, report: Report = lambda _, share: None) -> Run:
+        """Return the run ``name``; ``report`` gets what reading it has done, and the share of it.
+
+        Raise SemvizError if it is unknown or broken.
+        """
+        from semviz.runs.stored_run import open_run
 
         path = self.path(name)
         with self._lock_of(name):
             if name not in self._runs:
-                self._runs[name] = load_run(path)
+                self._runs[name] = open_run(path, report)
                 gc.freeze()  # runs stay in memory: searching them for garbage would delay all pages
             return self._runs[name]
+
+    def check(self, name: str, report: Report) -> None:
+        """Read the run ``name`` again, without the frames that are damaged."""
+        from semviz.runs.stored_run import open_run
+
+        checked = open_run(self.path(name), report, checks_frames=True)
+        with self._lock_of(name):
+            self._runs[name] = checked
+            for key in [key for key in self._cache if key[0] == name]:
+                del self._cache[key]
 
     def path(self, name: str) -> Path:
         """Return the file of the run ``name``. Raise RefusedError if it is unknown."""
@@ -146,6 +163,9 @@ class Panel:
 
     def __init__(self, context: "PageContext") -> None:
         self.context = context
+
+    def on_opened(self) -> None:
+        """Another run was opened, and its map is not drawn yet."""
 
     def on_run(self) -> None:
         """Another run was opened."""
@@ -258,13 +278,21 @@ class PageContext:
 
     def open(self, name: str, frame: int | None) -> None:
         """Show another run at the frame with number ``frame``, or at its worst frame."""
-        run = self.library.run(name)
+        run = self.library.run(name, partial(self._send_reading, name))
         self.state = self.state.opened(name, run, frame)
         self._run = run
         self.send_run()
+        for panel in self.panels:
+            panel.on_opened()
         self.draw_run()
         for panel in self.panels:
             panel.on_run()
+
+    def open_checked(self) -> None:
+        """Open the run again, without the frames that are damaged: one was to be shown."""
+        name, index = self.state.run, int(frame_table(self.run).index[self.state.position])
+        self.library.check(name, partial(self._send_reading, name))
+        self.open(name, index)
 
     def select(self, observed: int | None, element: int | None) -> None:
         """Select a detection (row), a map element (id), a pair of them, or nothing."""
@@ -288,7 +316,7 @@ class PageContext:
 
     def send_runs(self) -> None:
         """Send the names of the runs that can be opened."""
-        self.send(views.RunsEvent(names=self.library.names))
+        self.send(views_run.RunsEvent(names=self.library.names))
 
     def send_run(self) -> None:
         """Send the run and its frame."""
@@ -310,6 +338,9 @@ class PageContext:
 
     def close(self) -> None:
         self._scenes.close(self._session_id)
+
+    def _send_reading(self, name: str, step: str, share: float) -> None:
+        self.send(views_run.ReadingEvent(name=name, step=step, share=share))
 
     def _drawn(self) -> None:
         for panel in self.panels:
@@ -347,6 +378,8 @@ class Background(ABC, Generic[Value]):
         """The result; None until the work is done."""
         self.is_over = False
         """Whether the work is done or failed."""
+        self.met_damage = False
+        """Whether it failed because a frame is damaged."""
 
     @abstractmethod
     def work(self) -> Value:
@@ -391,6 +424,7 @@ class Background(ABC, Generic[Value]):
             self.value = self.work()
         except SemvizError as error:
             self.progress = str(error)
+            self.met_damage = isinstance(error, DamagedRowError)
         except Exception as error:  # a bug must be seen, not leave the page waiting
             logging.getLogger(__name__).exception("work in the background failed")
             self.progress = (

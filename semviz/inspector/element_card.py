@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from semviz.inspector import views_frame
+from semviz.runs.frame_table import frame_table
 from semviz.runs.run import FrameRecord, Run
 from semviz.web.protocol import RefusedError
 from semviz.workspace.settings import SETTINGS
@@ -24,7 +25,7 @@ from semviz_annotation.mapping.build import uses_detections
 from semviz_annotation.storage.store import LabelStore, LogEnd, Writer
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import Decision, Provenance, SemanticMap
-from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 
 
@@ -256,34 +257,20 @@ def _meaning(run: Run, element_id: int) -> str:
 
 def _in_run(run: Run, element_id: int) -> tuple[tuple[str, str], ...]:
     """Return the numbers of frames in which it is matched and, if known, detected."""
-    detected, pairs = _over_run(run)
-    own = pairs[pairs[:, 1] == element_id]
-    total = f"of {len(run.frames)} frames"
-    rows = [("Matched, inlier", f"{_frames(own)}, {_frames(own[own[:, 2] == 1])} {total}")]
-    if (detected[:, 1] >= 0).any():
-        here, correct = detected[detected[:, 1] == element_id], own[own[:, 3] == 1]
-        rows.append(("Detected, matched correctly", f"{_frames(here)}, {_frames(correct)} {total}"))
+    table = frame_table(run)
+    pair_frame, is_own = table.frame_of_pair(), table.pair_id == element_id
+
+    def frames(chosen: BoolArray) -> int:
+        return len(np.unique(pair_frame[is_own & chosen]))
+
+    total = f"of {len(table)} frames"
+    matched = frames(np.full(len(is_own), True))
+    rows = [("Matched, inlier", f"{matched}, {frames(table.pair_inlier)} {total}")]
+    if (table.detected_id >= 0).any():
+        detected = np.unique(table.frame_of_detection()[table.detected_id == element_id])
+        correct = frames(table.pair_is_true)
+        rows.append(("Detected, matched correctly", f"{len(detected)}, {correct} {total}"))
     return tuple(rows)
-
-
-def _frames(rows: IntArray) -> int:
-    return len(np.unique(rows[:, 0]))
-
-
-@lru_cache(maxsize=4)
-def _over_run(run: Run) -> tuple[IntArray, IntArray]:
-    """Return the position and the true element of all k detections (k, 2); and of all m pairs the
-    position, the element, whether it is an inlier, and whether it is true (m, 4)."""
-    detected, pairs = [np.zeros((0, 2), np.int64)], [np.zeros((0, 4), np.int64)]
-    for position, record in enumerate(run.frames):
-        ids, refinement = record.element_id, record.localization.refinement
-        detected.append(np.stack([np.full(len(ids), position), ids], axis=1))
-        if refinement is not None:
-            i, j = refinement.pairs.T
-            element = record.localization.submap.id[j]
-            columns = np.full(len(i), position), element, refinement.inlier, ids[i] == element
-            pairs.append(np.stack(columns, axis=1))
-    return np.concatenate(detected), np.concatenate(pairs)
 
 
 def _decisions(run: Run, element_id: int) -> tuple[views_frame.MapDecision, ...]:

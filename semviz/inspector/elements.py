@@ -13,12 +13,12 @@ from semviz.inspector import views_run
 from semviz.inspector.context import Background, Panel
 from semviz.inspector.element_card import map_row, provenance_of
 from semviz.inspector.messages import FindFramesRequest, GetElementsRequest, ShowForecastRequest
-from semviz.inspector.state import matched_elements
 from semviz.inspector.views import number
 from semviz.inspector.views_run import ForecastEvent, ForecastView, SuggestedElement
 from semviz.runs.diagnosis import run_diagnosis, run_elements
+from semviz.runs.frame_table import frame_table
 from semviz.runs.run import Run
-from semviz.runs.story import RunStory, tell
+from semviz.runs.story import RunStory, tell, typical_positions
 from semviz.web.protocol import handles
 from semviz.workspace import localizability
 from semviz_core.base.pose import Pose
@@ -38,33 +38,56 @@ class Findings:
     elements: tuple[ElementRecord, ...]
 
 
-class RunAnalysis(Background[Findings]):
-    """Computes the findings of one run."""
+MOST_DIAGNOSED = 1_000
+"""Frames that the diagnosis of a run rests on, which are held in memory."""
+
+
+class RunAnalysis(Background[RunDiagnosis]):
+    """Diagnoses one run, a long one by typical frames."""
 
     def __init__(self, run: Run, _: Path) -> None:
         super().__init__()
         self._run = run
-        self.diagnosed: RunStory | None = None
-        """The story with the causes of the whole run, which comes before the elements."""
+        self.positions = typical_positions(run, MOST_DIAGNOSED)
+        """Of the frames that are diagnosed."""
+        self._diagnosed: RunStory | None = None
 
-    def work(self) -> Findings:
-        diagnosis = run_diagnosis(self._run, self.watch)
-        self.diagnosed = tell(self._run, diagnosis)
-        return Findings(diagnosis, run_elements(self._run, self.watch))
+    def work(self) -> RunDiagnosis:
+        diagnosis = run_diagnosis(self._run, self.watch, self.positions)
+        self._diagnosed = tell(self._run, diagnosis)
+        return diagnosis
 
     @property
     def story(self) -> RunStory:
-        """The story of the run, as far as it is known."""
-        return self.diagnosed or self._first_story
+        """The story of the run; with the causes of the whole run, once it is diagnosed."""
+        return self._diagnosed or self._first_story
 
     @cached_property
     def _first_story(self) -> RunStory:
         return tell(self._run, None)
 
-    def view(self) -> views_run.ElementsEvent:
-        """Return the findings, or the progress of the work."""
-        findings = None if self.value is None else findings_view(self._run, self.value)
-        return views_run.ElementsEvent(progress=self.progress, found=findings)
+
+class ElementStatistics(Background[tuple[ElementRecord, ...]]):
+    """Counts over all frames of one run, for each map element."""
+
+    def __init__(self, run: Run, _: Path) -> None:
+        super().__init__()
+        self._run = run
+
+    def work(self) -> tuple[ElementRecord, ...]:
+        return run_elements(self._run, self.watch)
+
+
+def elements_event(
+    run: Run, analysis: RunAnalysis, statistics: ElementStatistics
+) -> views_run.ElementsEvent:
+    """Return diagnosis and elements, or the progress of the work that is not over."""
+    if analysis.value is None:
+        return views_run.ElementsEvent(progress=analysis.progress, found=None)
+    if statistics.value is None:
+        return views_run.ElementsEvent(progress=statistics.progress, found=None)
+    findings = findings_view(run, Findings(analysis.value, statistics.value))
+    return views_run.ElementsEvent(progress="", found=findings)
 
 
 class ElementPanel(Panel):
@@ -73,13 +96,16 @@ class ElementPanel(Panel):
     @handles(GetElementsRequest)
     def _get(self, _: GetElementsRequest) -> None:
         run = self.context.run
-        self.context.cached(RunAnalysis).start(lambda: self._on_progress(run))
+        for work in (self.context.cached(RunAnalysis), self.context.cached(ElementStatistics)):
+            work.start(lambda: self._on_progress(run))
 
     def _on_progress(self, run: Run) -> None:
-        """Called in the background thread; the page may show another run by then."""
-        with self.context.lock:
-            if self.context.run is run:
-                self.context.send(self.context.cached(RunAnalysis).view())
+        """Called in the background threads; the page may show another run by then."""
+        context = self.context
+        with context.lock:
+            if context.run is run:
+                works = context.cached(RunAnalysis), context.cached(ElementStatistics)
+                context.send(elements_event(run, *works))
 
     @handles(FindFramesRequest)
     def _find_frames(self, request: FindFramesRequest) -> None:
@@ -93,12 +119,11 @@ class ElementPanel(Panel):
 
 def frames_of(run: Run, element_id: int) -> list[int]:
     """Return the positions of the frames that detect an element, or whose estimate uses it."""
-    return [
-        position
-        for position, record in enumerate(run.frames)
-        if np.any(record.element_id == element_id)
-        or element_id in matched_elements(run, position).values()
-    ]
+    table = frame_table(run)
+    detecting = table.frame_of_detection()[table.detected_id == element_id]
+    using = table.frame_of_pair()[table.pair_id == element_id]
+    positions: list[int] = np.union1d(detecting, using).tolist()
+    return positions
 
 
 def findings_view(run: Run, findings: Findings) -> views_run.RunFindings:
@@ -130,7 +155,7 @@ def _recurring_fault(run: Run, fault: RunFault) -> views_run.RunFaultView:
         kind=fault.kind,
         sentence=fault.sentence,
         evidence=_evidence(fault),
-        frames=tuple(run.frames[position].frame.index for position in fault.frames),
+        frames=tuple(frame_table(run).index[list(fault.frames)].tolist()),
         element=known[0] if known else None,
         observed=None if known or not fault.rows else fault.rows[middle],
         position=fault.frames[middle],
@@ -139,10 +164,6 @@ def _recurring_fault(run: Run, fault: RunFault) -> views_run.RunFaultView:
 
 def _camera_fault(run: Run, fault: Fault) -> views_run.RunFaultView:
     """Return a calibration fault with the frame that has the most pairs."""
-    pairs = [
-        0 if localization.refinement is None else len(localization.refinement.pairs)
-        for localization in run.localizations
-    ]
     return views_run.RunFaultView(
         kind=fault.kind,
         sentence=fault.sentence,
@@ -150,7 +171,7 @@ def _camera_fault(run: Run, fault: Fault) -> views_run.RunFaultView:
         frames=(),
         element=None,
         observed=None,
-        position=pairs.index(max(pairs)),
+        position=int(frame_table(run).pairs.argmax()),
     )
 
 
@@ -175,9 +196,9 @@ def _row(run: Run, element: ElementRecord) -> views_run.ElementRow:
         name=run.semantic_map.name_of(element.id),
         class_id=int(run.semantic_map.elements.class_id[row]),
         in_view=len(element.in_view),
-        seen=tuple(element.seen),
-        used=tuple(element.used),
-        outlier=tuple(element.outlier),
+        seen=len(element.seen),
+        used=len(element.used),
+        outlier=len(element.outlier),
         share=number(element.outlier_share),
         median_px=number(element.median_px),
         cost_m=number(element.mean_cost_m),

@@ -382,8 +382,9 @@ InspectorRequest = Annotated[
 ]
 InspectorEvent = (
     HelloEvent
-    | views.RunsEvent
+    | views_run.RunsEvent
     | SceneEvent
+    | views_run.ReadingEvent
     | views.RunEvent
     | views.FrameEvent
     | views.StateEvent

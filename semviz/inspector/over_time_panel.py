@@ -118,8 +118,9 @@ class OverTimePanel(Panel):
         if one.name != context.state.run:
             context.open(one.name, one.frames[position].index)
         context.state = context.state.at(position, context.run)
-        known = change.element_id in context.run.semantic_map.elements.id.tolist()
-        element = change.element_id if known else None
+        element = change.element_id
+        if element is not None and element not in context.run.semantic_map:
+            element = None
         context.state = context.state.with_selection(None, element, context.run)
         context.send_frame()
         context.draw_frame()

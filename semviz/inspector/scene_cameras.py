@@ -4,7 +4,6 @@ Rays to matched elements have the colour of their residual. Browsers need two sc
 decode an image, so the images of neighbouring frames are in the scene already, hidden.
 """
 
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 
 from semviz.inspector.state import State, View
 from semviz.presentation.plots import STATUS, residual_level
+from semviz.runs.frame_table import STATUSES, frame_table
 from semviz.runs.images import frame_image
 from semviz.runs.run import FrameRecord, Run
 from semviz.web.scene import (
@@ -155,15 +155,15 @@ BELOW_M = np.array([0.0, 0.0, CAMERA_HEIGHT_M - 0.3])
 def draw_trajectories(scene: SceneDrawer, run: Run) -> None:
     """Draw true and estimated camera centres, with gaps at frames without a pose, and marks."""
     palette = scene.palette
-    truth = _below([frame.frame.T_map_camera for frame in run.frames])
-    estimated = _below([estimate(localization) for localization in run.localizations])
+    table = frame_table(run)
+    truth, estimated = table.truth_m - BELOW_M, table.estimate_m - BELOW_M
     scene.draw_path(f"{TRAJECTORIES}/truth", truth, mix(palette.truth, palette.scene, 0.5))
     scene.draw_path(
         f"{TRAJECTORIES}/estimate", estimated, mix(palette.estimate, palette.scene, 0.8)
     )
     positions_m = mark_positions_m(run)
     for status, shape in MARKS.items():
-        rows = [localization.status == status for localization in run.localizations]
+        rows = table.status == STATUSES.index(status)
         tone = STATUS[status]
         color = tone.dark if scene.theme == "dark" else tone.light
         scene.draw_points(f"{TRAJECTORIES}/{status}", positions_m[rows], color, MARK_M, shape)
@@ -177,16 +177,9 @@ def make_frames_pickable(picker: Picker, run: Run) -> None:
 
 def mark_positions_m(run: Run) -> FloatArray:
     """Return (frames, 3) positions below the estimate, else the truth, else the prior."""
-    return _below([vehicle_pose(frame) for frame in run.frames])
-
-
-def _below(poses: Sequence[Pose | None]) -> FloatArray:
-    """Return (k, 3) positions below the cameras; NaN without a pose."""
-    positions_m = np.full((len(poses), 3), np.nan)
-    for row, pose in enumerate(poses):
-        if pose is not None:
-            positions_m[row] = pose.translation - BELOW_M
-    return positions_m
+    table = frame_table(run)
+    unknown = ~np.isfinite(table.estimate_m).all(axis=1, keepdims=True) & table.has_truth[:, None]
+    return np.asarray(np.where(unknown, table.truth_m, table.around_m) - BELOW_M)
 
 
 IMAGES = "/photos"
@@ -368,12 +361,10 @@ def _label_prior(
 
 def route(run: Run) -> FloatArray:
     """Return (k, 3) camera centres: of the map's trajectory or the true poses, the longer one."""
-    known = [
-        frame.frame.T_map_camera for frame in run.frames if frame.frame.T_map_camera is not None
-    ]
-    if len(run.semantic_map.trajectory_m) > len(known):
+    table = frame_table(run)
+    if len(run.semantic_map.trajectory_m) > table.has_truth.sum():
         return run.semantic_map.trajectory_m
-    return np.array([pose.translation for pose in known]).reshape(-1, 3)
+    return table.truth_m[table.has_truth]
 
 
 def _on_road(position_m: FloatArray) -> FloatArray:

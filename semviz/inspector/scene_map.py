@@ -12,6 +12,7 @@ import numpy as np
 from semviz.inspector.state import MapColors
 from semviz.inspector.views import MapColorLevel, MapLegend
 from semviz.presentation import plots
+from semviz.runs.frame_table import frame_table
 from semviz.runs.run import Run
 from semviz.web import shapes
 from semviz.web.scene import CAMERA_HEIGHT_M, ElementStyle, SceneDrawer, class_rows, elements_ends
@@ -45,24 +46,18 @@ def usage_of(run: Run) -> Usage:
     rows = order[np.searchsorted(ids, used, sorter=order)]
     times = np.bincount(rows, minlength=len(ids)).astype(np.int64)
     residual_px = np.full(len(ids), np.nan)
-    by_row = np.argsort(rows, kind="stable")
-    starts = np.cumsum(times) - times
-    for row in np.flatnonzero(times):
-        own = by_row[starts[row] : starts[row] + times[row]]
-        residual_px[row] = np.median(sizes[own])
+    ordered = sizes[np.lexsort((sizes, rows))]
+    known = np.flatnonzero(times)
+    first, last = (np.cumsum(times) - times)[known], np.cumsum(times)[known] - 1
+    low, high = first + (last - first) // 2, last - (last - first) // 2
+    residual_px[known] = (ordered[low] + ordered[high]) / 2
     return Usage(times, residual_px)
 
 
 def _inliers(run: Run) -> tuple[IntArray, FloatArray]:
     """Return the element's id and the length of the residual (px) of every inlier."""
-    ids, sizes = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
-    for localization in run.localizations:
-        refinement = localization.refinement
-        if refinement is not None:
-            inlier = refinement.inlier
-            ids.append(localization.submap.id[refinement.pairs[inlier, 1]])
-            sizes.append(np.sqrt(np.nansum(refinement.residual_px[inlier] ** 2, axis=1)))
-    return np.concatenate(ids), np.concatenate(sizes)
+    table = frame_table(run)
+    return table.pair_id[table.pair_inlier], table.pair_px[table.pair_inlier]
 
 
 FAINT = 0.45

@@ -18,6 +18,8 @@ from semviz.inspector.selection import SelectionPanel, matrix_route
 from semviz.inspector.solver import SolverPanel
 from semviz.inspector.story import StoryPanel
 from semviz.inspector.what_if import WhatIfPanel
+from semviz.runs.codec import DamagedRowError
+from semviz.runs.stored_run import check_run_head
 from semviz.web.protocol import Handlers, Request, SceneEvent
 from semviz.web.sessions import Send, Sessions
 from semviz.web.viser_servers import ViserServers
@@ -51,7 +53,7 @@ class Inspector:
     def __init__(self, paths: Sequence[Path]) -> None:
         self._library = RunLibrary(paths)
         if len(paths) == 1:  # a single broken run is an error at once
-            self._library.run(self._library.names[0])
+            check_run_head(paths[0])
         self._annotators = EmbeddedAnnotators()
         self.scenes = ViserServers()
         self._sessions = Sessions(self._session, HANDLERS.decode)
@@ -104,7 +106,10 @@ class InspectorSession:
     def receive(self, request: Request) -> None:
         """Handle a request of the page. Raise SemvizError if it cannot be met."""
         with self._context.lock:
-            self._handle(request)
+            try:
+                self._handle(request)
+            except DamagedRowError:
+                self._context.open_checked()
 
     def close(self) -> None:
         self._context.close()

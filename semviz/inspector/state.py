@@ -6,6 +6,7 @@ A frame is given by its position in the run, from 0.
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from semviz.runs.frame_table import frame_table
 from semviz.runs.run import Run
 from semviz.runs.story import worst_position
 from semviz.web.protocol import RefusedError
@@ -55,10 +56,10 @@ class State:
 
     def opened(self, name: str, run: Run, frame: int | None) -> "State":
         """Open a run at the frame with number ``frame``, or else at its worst frame."""
-        numbers = [record.frame.index for record in run.frames]
-        if not numbers:
+        if not len(run.frames):
             raise SemvizError(f"{name} has no frames; localize again")
-        position = numbers.index(frame) if frame in numbers else worst_position(run)
+        position = None if frame is None else frame_table(run).position_of(frame)
+        position = worst_position(run) if position is None else position
         side = self.side if run.info.rig.right is not None else "left"
         state = replace(self, run=name, position=position, selection=Selection(), side=side)
         return state.with_base("", False) if name == self.base else state
@@ -79,7 +80,7 @@ class State:
         if observed is not None and not 0 <= observed < rows:
             text = f"detection {observed} does not exist; this frame has {rows}"
             raise RefusedError("not_found", text)
-        if element is not None and element not in run.semantic_map.elements.id:
+        if element is not None and element not in run.semantic_map:
             text = f"the map of this run has no element {element}; choose another"
             raise RefusedError("not_found", text)
         matched = matched_elements(run, self.position)

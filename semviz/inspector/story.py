@@ -6,12 +6,12 @@ background thread.
 
 import numpy as np
 
-from semviz.inspector.context import Panel
+from semviz.inspector.context import PageContext, Panel
 from semviz.inspector.elements import RunAnalysis
 from semviz.inspector.messages import GetStoryRequest
 from semviz.inspector.views import number
 from semviz.inspector.views_run import StoryCause, StoryEvent, StoryPart, StoryView
-from semviz.runs.metrics import errors_of, is_overconfident
+from semviz.runs.frame_table import frame_table
 from semviz.runs.run import Run
 from semviz.runs.story import (
     Cause,
@@ -23,6 +23,8 @@ from semviz.runs.story import (
 )
 from semviz.web.protocol import handles
 
+LONG_RUN = 200
+"""Frames; pages of longer runs open with their story, which comes before the 3D view is drawn."""
 EXAMPLES = 3
 """Frames that are offered for a cause."""
 
@@ -30,41 +32,62 @@ EXAMPLES = 3
 class StoryPanel(Panel):
     """Sends the story of the open run on request."""
 
+    def __init__(self, context: PageContext) -> None:
+        super().__init__(context)
+        self._sent: RunStory | None = None
+        self._wanted = ""
+        """Name of the run whose story the page wants."""
+
+    def on_opened(self) -> None:
+        self._sent = None
+        if self.context.state.run == self._wanted:  # opened again
+            self._start()
+        elif len(self.context.run.frames) > LONG_RUN:
+            self._send()
+
     @handles(GetStoryRequest)
     def _get(self, _: GetStoryRequest) -> None:
-        run = self.context.run
-        self.context.cached(RunAnalysis).start(lambda: self._on_progress(run))
+        self._wanted = self.context.state.run
+        self._start()
 
-    def _on_progress(self, run: Run) -> None:
+    def _start(self) -> None:
+        run, analysis = self.context.run, self.context.cached(RunAnalysis)
+        analysis.start(lambda: self._on_progress(run, analysis))
+
+    def _on_progress(self, run: Run, analysis: RunAnalysis) -> None:
         """Called in the background thread; the page may show another run by then."""
         with self.context.lock:
             if self.context.run is not run:
                 return
-            analysis = self.context.cached(RunAnalysis)
-            progress = "" if analysis.diagnosed is not None else analysis.progress
-            self.context.send(StoryEvent(progress=progress, found=story_view(analysis.story)))
+            if analysis.met_damage:
+                self.context.open_checked()
+            else:
+                self._send()
+
+    def _send(self) -> None:
+        """Send the story unless it is the one sent last, and the progress of the diagnosis."""
+        analysis = self.context.cached(RunAnalysis)
+        progress = "" if analysis.value is not None else analysis.progress
+        story, diagnosed = analysis.story, len(analysis.positions)
+        found = None if story is self._sent else story_view(story)
+        self._sent = story
+        self.context.send(StoryEvent(progress=progress, diagnosed=diagnosed, found=found))
 
 
 def story_view(story: RunStory) -> StoryView:
     """Return a story as the page gets it."""
-    frames = story.run.frames
-    counts, times = counts_by_status(story.run), [record.frame.time_s for record in frames]
-    errors = [errors_of(record) for record in frames]
-    known_m = [error.distance_m for error in errors if error is not None]
-    overconfident = sum(
-        is_overconfident(record.localization, error)
-        for record, error in zip(frames, errors, strict=True)
-    )
+    table, counts = frame_table(story.run), counts_by_status(story.run)
+    known_m = table.distance_m[np.isfinite(table.distance_m)]
     return StoryView(
         headline=story.headline,
         detail=story.detail,
         length_m=round(story.length_m, 1),
-        seconds=round(times[-1] - times[0], 1),
-        median_m=number(np.median(known_m)) if known_m else None,
+        seconds=round(float(table.time_s[-1] - table.time_s[0]), 1),
+        median_m=number(np.median(known_m)) if len(known_m) else None,
         ok=counts["ok"],
         ambiguous=counts["ambiguous"],
         cannot=counts["cannot"],
-        overconfident=overconfident if known_m else None,
+        overconfident=int(table.is_overconfident.sum()) if len(known_m) else None,
         causes=tuple(_cause_view(story, cause) for cause in story.causes),
         route=tuple(_part_view(part) for part in story.route),
     )

@@ -5,6 +5,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from semviz.inspector.frame_columns import FrameColumns, frame_columns
 from semviz.inspector.state import ImageMode, MapColors, State, View
 from semviz.runs.diagnosis import (
     DiagnosisCard,
@@ -13,6 +14,7 @@ from semviz.runs.diagnosis import (
     diagnosis_name,
     noticed_faults,
 )
+from semviz.runs.frame_table import frame_table
 from semviz.runs.images import Projected, offsets, project_elements
 from semviz.runs.metrics import errors_of, is_overconfident
 from semviz.runs.run import FrameRecord, Run
@@ -56,7 +58,7 @@ class RunHead(Part):
 
 
 class FrameRow(Part):
-    """A frame in lists. Errors are null without a pose or ground truth."""
+    """A frame with its result. Errors are null without a pose or ground truth."""
 
     index: int
     status: Status
@@ -75,7 +77,7 @@ class RunView(RunHead):
     """Everything about a run that does not depend on the frame shown."""
 
     note: str
-    frames: tuple[FrameRow, ...]
+    frames: FrameColumns
     median_m: float | None
     ok_share: float
 
@@ -156,13 +158,6 @@ class StateView(Part):
     neighbours: bool
 
 
-class RunsEvent(Event):
-    """The runs that can be opened."""
-
-    type: Literal["runs"] = "runs"
-    names: tuple[str, ...]
-
-
 class RunEvent(Event):
     """Another run was opened."""
 
@@ -187,14 +182,14 @@ class StateEvent(Event):
 
 def run_view(name: str, run: Run) -> RunView:
     """Return everything about a run that does not depend on the frame shown."""
-    errors = [errors for record in run.frames if (errors := errors_of(record)) is not None]
-    ok = sum(record.localization.status == "ok" for record in run.frames)
+    table = frame_table(run)
+    known_m = table.distance_m[np.isfinite(table.distance_m)]
     return RunView(
         **dict(run_head(name, run)),
         note=run.note,
-        frames=tuple(FrameRow(**_row(run, record)) for record in run.frames),
-        median_m=float(np.median([error.distance_m for error in errors])) if errors else None,
-        ok_share=ok / len(run.frames) if run.frames else 0.0,
+        frames=frame_columns(table),
+        median_m=float(np.median(known_m)) if len(known_m) else None,
+        ok_share=float(table.is_ok.mean()) if len(table) else 0.0,
     )
 
 

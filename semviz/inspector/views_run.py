@@ -1,4 +1,4 @@
-"""Messages about whole runs: one, with its elements, forecast and decisions, or two compared.
+"""Messages about whole runs: all, one with its elements, forecast and decisions, or two compared.
 
 Of two runs, A is the base, and B is open and compared with it.
 """
@@ -15,6 +15,22 @@ from semviz_annotation.storage.operations import EditBase
 from semviz_core.base.localization import Status
 
 
+class RunsEvent(Event):
+    """The runs that can be opened."""
+
+    type: Literal["runs"] = "runs"
+    names: tuple[str, ...]
+
+
+class ReadingEvent(Event):
+    """A run is read through before it opens: what is done, and the share of it that is done."""
+
+    type: Literal["reading"] = "reading"
+    name: str
+    step: str
+    share: float
+
+
 class RunFaultView(Part):
     """A fault of the map or the camera, with the frame that shows it best."""
 
@@ -28,15 +44,15 @@ class RunFaultView(Part):
 
 
 class ElementRow(Part):
-    """A map element over the run: positions of frames, and its effect on the error."""
+    """A map element over the run: numbers of frames, and its effect on the error."""
 
     id: int
     name: str
     class_id: int
     in_view: int
-    seen: tuple[int, ...]
-    used: tuple[int, ...]
-    outlier: tuple[int, ...]
+    seen: int
+    used: int
+    outlier: int
     share: float | None
     median_px: float | None
     cost_m: float | None
@@ -115,11 +131,16 @@ class StoryView(Part):
 
 
 class StoryEvent(Event):
-    """The story of the run. It has no causes of the run as a whole while ``progress`` has text."""
+    """The story of the run, None if it is as before, and the progress of its diagnosis.
+
+    It has no causes of the run as a whole while ``progress`` has text.
+    """
 
     type: Literal["story"] = "story"
     progress: str
-    found: StoryView
+    diagnosed: int
+    """Frames that causes of the whole run are looked for in."""
+    found: StoryView | None
 
 
 class SuggestedElement(Part):

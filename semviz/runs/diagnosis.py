@@ -6,7 +6,7 @@ not in the map may be of any element.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -59,8 +59,8 @@ def implicated_elements(run: Run, record: FrameRecord) -> tuple[int, ...]:
     diagnosis = frame_diagnosis(run, record)
     if diagnosis_name(run, record) != diagnosis.kind:
         return ()
-    mapped = set(run.semantic_map.elements.id.tolist())  # a missing element is not in the map
-    return tuple(element for element in diagnosis.fault.elements if element in mapped)
+    elements = diagnosis.fault.elements  # a missing element is not in the map
+    return tuple(element for element in elements if element in run.semantic_map)
 
 
 class DetectionErrors(NamedTuple):
@@ -103,22 +103,44 @@ def truth_of(run: Run, record: FrameRecord) -> GroundTruth | None:
 
 
 def run_diagnosis(
-    run: Run, watch: reference.ProgressCallback = reference.no_progress
+    run: Run,
+    watch: reference.ProgressCallback = reference.no_progress,
+    positions: Sequence[int] | None = None,
 ) -> RunDiagnosis:
-    """Return the faults of camera and map that recur over the frames."""
-    odometry = [frame.odometry for frame in run.frames]
-    return diagnose_run(_localized(run), run.semantic_map, detector_of(run), watch, odometry)
+    """Return the faults of camera and map that recur over the frames, or over some of them.
+
+    Frames at ``positions`` are held in memory, all at once.
+    """
+    rows = range(len(run.frames)) if positions is None else positions
+    frames = [run.frames[position] for position in rows]
+    localized = [(frame.localization, truth_of(run, frame)) for frame in frames]
+    odometry = [
+        frame.odometry if row and rows[row - 1] == rows[row] - 1 else None
+        for row, frame in enumerate(frames)
+    ]
+    found = diagnose_run(localized, run.semantic_map, detector_of(run), watch, odometry)
+    return found if positions is None else found.at(positions)
 
 
 def run_elements(
     run: Run, watch: reference.ProgressCallback = reference.no_progress
 ) -> tuple[ElementRecord, ...]:
     """Return every map element in view of some frame; outliers in most frames first."""
-    return element_records(_localized(run), run.semantic_map, detector_of(run), watch)
+    return element_records(_LocalizedFrames(run), run.semantic_map, detector_of(run), watch)
 
 
-def _localized(run: Run) -> list[tuple[Localization, GroundTruth | None]]:
-    return [(frame.localization, truth_of(run, frame)) for frame in run.frames]
+class _LocalizedFrames(Sequence[tuple[Localization, GroundTruth | None]]):
+    """The frames of a run with their ground truth, each made when it is needed."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+
+    def __len__(self) -> int:
+        return len(self._run.frames)
+
+    def __getitem__(self, position: Any) -> Any:
+        frame = self._run.frames[position]
+        return frame.localization, truth_of(self._run, frame)
 
 
 LISTED = 2
@@ -219,8 +241,8 @@ def noticed_faults(run: Run, record: FrameRecord) -> str:
 
 def _noticed(semantic_map: SemanticMap, fault: Fault) -> tuple[str, str]:
     """Return a fault's element or detection, and by how much it is off, if that is in pixels."""
-    mapped = set(semantic_map.elements.id.tolist())
-    named = [semantic_map.name_of(element) for element in fault.elements if element in mapped]
+    known = (element for element in fault.elements if element in semantic_map)
+    named = [semantic_map.name_of(element) for element in known]
     subject = " and ".join(named or [f"#{row}" for row in fault.rows])
     off_px = _off_px(fault)
     return subject, "" if off_px is None else f"({off_px:.0f} px)"

@@ -2,138 +2,30 @@
 
 Head, map and frames are compared with their checksums. A frame that differs is left out and
 counted; without a sound head and map, the file is refused.
-
-An .rrd file is a head of 12 bytes and messages: kind, length, and a protobuf message with an Arrow
-stream, usually compressed. rerun's own reader is not used because one flipped bit can end the
-process: it allocates whatever size a message names. Here a message that cannot be read is skipped,
-and reading goes on at the next message that can.
 """
 
-import mmap
-import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version as installed_version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-import pyarrow as pa
 
 from semviz.runs import run
 from semviz.runs.codec import DamagedRowError, Pools, decode, verify_row
 from semviz.runs.columns import FRAME
+from semviz.runs.rrd_file import RrdFile
 from semviz.runs.run import FrameRecord, Run, RunInfo
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import parsed_json, shown
 from semviz_core.diagnosis.fault import FrameDiagnosis
 
-_HEAD_BYTES = 12
-_MESSAGE = struct.Struct("<QQ")
-_KINDS = 4
-"""0: end; 1: names a recording; 2: a record batch; 3: activates a layout of views."""
-_END, _BATCH = 0, 2
-_TRAILER_BYTES = 32
-"""After the end of a complete recording."""
-_BATCH_KIND = struct.pack("<Q", _BATCH)
-_COMPRESSION, _SIZE, _CONTENT = 2, 3, 5
-"""Fields of the protobuf message of a record batch."""
-_LZ4 = 2
-_MOST_LZ4 = 255
-"""LZ4 compresses at most so many times."""
-
-
-@dataclass
-class RrdFile:
-    """An .rrd file; after ``batches`` was consumed, ``damaged`` tells whether parts were skipped.
-
-    A file that ends within a message counts as damaged, one that ends between two does not.
-    """
-
-    path: Path
-    damaged: bool = False
-
-    def batches(self, is_wanted: Callable[[str], bool]) -> Iterator[tuple[str, Any]]:
-        """Yield the entity path and record batch of each message of a wanted entity.
-
-        Raise OSError if the file cannot be read.
-        """
-        with (
-            self.path.open("rb") as file,
-            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content,
-        ):
-            at = _HEAD_BYTES
-            while 0 <= at < len(content):
-                try:
-                    kind, end = _message(content, at)
-                    found = _batch(content[at + _MESSAGE.size : end], is_wanted, kind)
-                except Exception:  # damaged bytes make pyarrow raise anything
-                    self.damaged = True
-                    at = content.find(_BATCH_KIND, at + 1)  # a damaged length is not to be trusted
-                    continue
-                if found is not None:
-                    yield found
-                if kind == _END and end + _TRAILER_BYTES >= len(content):
-                    return
-                at = end
-
-
-def _message(content: mmap.mmap, at: int) -> tuple[int, int]:
-    """Return kind and end of the message at a position. Raise ValueError if it is damaged."""
-    kind, length = _MESSAGE.unpack_from(content, at)
-    end = at + _MESSAGE.size + length
-    if kind >= _KINDS or end > len(content):
-        raise ValueError("damaged head of a message")
-    return kind, end
-
-
-def _batch(message: bytes, is_wanted: Callable[[str], bool], kind: int) -> tuple[str, Any] | None:
-    """Return entity and batch of a message; None if it is of another kind, or not wanted."""
-    if kind != _BATCH:
-        return None
-    fields = dict(_fields(message))
-    content = fields[_CONTENT]
-    if fields.get(_COMPRESSION) == _LZ4:
-        size = fields[_SIZE]
-        if size > _MOST_LZ4 * len(content):
-            raise ValueError("LZ4 does not compress so much")
-        content = pa.Codec("lz4_raw").decompress(content, decompressed_size=size)
-    with pa.ipc.open_stream(content) as stream:
-        entity = (stream.schema.metadata or {})[b"rerun:entity_path"].decode()
-        if not is_wanted(entity):
-            return None
-        batch = stream.read_next_batch()
-    batch.validate(full=True)
-    return entity, batch
-
-
-def _fields(message: bytes) -> Iterator[tuple[int, Any]]:
-    """Yield number and value of each field: an integer, or bytes. Raise an error if damaged."""
-    at = 0
-    while at < len(message):
-        key, at = _varint(message, at)
-        value, at = _varint(message, at)  # of bytes: their number
-        number, wire = key >> 3, key & 7
-        end = at + value if wire == 2 else at
-        if not number or wire not in (0, 2) or end > len(message):
-            raise ValueError("damaged field")
-        yield number, message[at:end] if wire == 2 else value
-        at = end
-
-
-def _varint(message: bytes, at: int) -> tuple[int, int]:
-    """Return an integer of seven bits a byte, and the position after it."""
-    value = shift = 0
-    while message[at] & 0x80:
-        value |= (message[at] & 0x7F) << shift
-        at, shift = at + 1, shift + 7
-    return value | message[at] << shift, at + 1
-
-
 _MAGIC = b"RRF"
-_BROKEN = (LookupError, ValueError, TypeError, AttributeError, ArithmeticError)
+Value = TypeVar("Value")
+BROKEN = (LookupError, ValueError, TypeError, AttributeError, ArithmeticError)
 """What values of the wrong kind raise; Arrow's errors are among them."""
 
 
@@ -173,65 +65,147 @@ def read_rows(path: Path) -> tuple[dict[str, list[Row]], bool]:
     """Return the rows of the exact values and the images, by entity; whether parts are damaged."""
     rows: dict[str, list[Row]] = {}
     file = RrdFile(path)
-    for entity, batch in file.batches(_is_wanted):
+    for message in file.messages(is_exact):
         try:
-            rows.setdefault(entity, []).extend(_rows(batch))
-        except _BROKEN:  # columns of other types
+            rows.setdefault(message.entity, []).extend(rows_of(message.batch))
+        except BROKEN:  # columns of other types
             file.damaged = True
     return rows, file.damaged
 
 
-def _is_wanted(entity: str) -> bool:
+def is_exact(entity: str) -> bool:
+    """Whether an entity holds exact values or images."""
     return entity.startswith(f"{run.EXACT}/") or entity in (run.IMAGE, run.IMAGE_RIGHT)
 
 
-def _rows(batch: Any) -> list[Row]:
+def rows_of(batch: Any, number: int | None = None) -> list[Row]:
+    """Return the rows of a record batch, or those of one frame, with their components."""
     kinds = [(field.metadata or {}).get(b"rerun:kind") for field in batch.schema]
-    data = [number for number, kind in enumerate(kinds) if kind == b"data"]
+    data = [column for column, kind in enumerate(kinds) if kind == b"data"]
     names = batch.schema.names
-    frames = batch[FRAME].to_pylist() if FRAME in names else [0] * batch.num_rows
     return [
         (
             frame,
             {
-                names[number]: batch.column(number)[row].values.to_numpy(zero_copy_only=False)
-                for number in data
-                if batch.column(number)[row].is_valid
+                names[column]: batch.column(column)[row].values.to_numpy(zero_copy_only=False)
+                for column in data
+                if batch.column(column)[row].is_valid
             },
         )
-        for row, frame in enumerate(frames)
+        for row, frame in enumerate(numbers_of(batch))
+        if number is None or frame == number
     ]
 
 
+def numbers_of(batch: Any) -> list[int]:
+    """Return the frame number of each row of a record batch; 0 for static data."""
+    return list(batch[FRAME].to_pylist() if FRAME in batch.schema.names else [0] * batch.num_rows)
+
+
 def assemble(path: Path, rows: dict[str, list[Row]], damaged: bool) -> Run:
+    """Return the run of the rows of a file. Raise SemvizError as ``load_run`` does."""
     is_checked = any(run.CHECKSUM in row for entity in rows.values() for _, row in entity)
-    _check_head(path, rows, damaged, is_checked)
-    (_, info), *_ = rows[run.INFO]
+    head = read_head(path, rows, damaged, is_checked)
+    of_frames: dict[int, FrameRows] = {}
+    for entity, entity_rows in rows.items():
+        for frame, row in entity_rows:
+            of_frames.setdefault(frame, {}).setdefault(entity, {}).update(row)
+    frames, damaged_frames, written = [], [], 0
     try:
-        sound, damaged_frames = _sound_frames(rows, is_checked)
-        frames = tuple(
-            replace(_decode(FrameRecord, row), image=left, image_right=right)
-            for row, left, right in sound
-        )
-        if (decoded_info := _decode(RunInfo, info)).version == installed_version("semviz"):
-            _recall_diagnoses(rows, frames)
-        written = _frames_written(rows, is_checked)
-        last = max((int(row[run.ORDINAL][0]) + 1 for row, *_ in sound if is_checked), default=0)
-        expected = last if written is None else written
+        for number in sorted(number for number, row in of_frames.items() if run.FRAME in row):
+            try:
+                found = read_frame(of_frames[number], number, head)
+            except DamagedRowError:
+                damaged_frames.append(number)
+            else:
+                frames.append(found.record)
+                written = max(written, found.ordinal + 1)
+    except (*BROKEN, SemvizError) as error:
+        raise broken_run(path, error) from None
+    return head.run(tuple(frames), tuple(damaged_frames), written)
+
+
+@dataclass(frozen=True, eq=False)
+class FileHead:
+    """What a run's file says besides its frames."""
+
+    info: RunInfo
+    semantic_map: SemanticMap
+    written: int | None
+    """Number of frames of a complete run; None for an interrupted one."""
+    is_checked: bool
+
+    @property
+    def recalls(self) -> bool:
+        """Whether the diagnoses in the file are those that this version of semviz makes."""
+        return self.info.version == installed_version("semviz")
+
+    def run(
+        self, frames: Sequence[FrameRecord], damaged: tuple[int, ...], at_least: int = 0
+    ) -> Run:
+        """Return the run of its sound frames; ``at_least`` so many were written."""
+        expected = at_least if self.written is None else self.written
         return Run(
-            info=decoded_info,
-            semantic_map=_decode(SemanticMap, rows[run.MAP][0][1]),
+            info=self.info,
+            semantic_map=self.semantic_map,
             frames=frames,
-            complete=written is not None,
-            damaged=damaged_frames,
-            lost=max(expected - len(frames), len(damaged_frames)),
-            checked=is_checked,
+            complete=self.written is not None,
+            damaged=damaged,
+            lost=max(expected - len(frames), len(damaged)),
+            checked=self.is_checked,
         )
-    except (*_BROKEN, SemvizError) as error:
-        raise SemvizError(f"{path}: broken run ({shown(repr(error))}); localize again") from None
 
 
-def _check_head(path: Path, rows: dict[str, list[Row]], damaged: bool, is_checked: bool) -> None:
+def read_head(
+    path: Path, rows: Mapping[str, list[Row]], damaged: bool, is_checked: bool
+) -> FileHead:
+    """Return the head of a run from the rows of its file. Raise SemvizError as ``load_run``."""
+    _check_head(path, rows, damaged, is_checked)
+    try:
+        return FileHead(
+            info=decode_row(RunInfo, rows[run.INFO][0][1]),
+            semantic_map=decode_row(SemanticMap, rows[run.MAP][0][1]),
+            written=_frames_written(rows, is_checked),
+            is_checked=is_checked,
+        )
+    except (*BROKEN, SemvizError) as error:
+        raise broken_run(path, error) from None
+
+
+def broken_run(path: Path, error: Exception) -> SemvizError:
+    """Return the error of a run whose values do not fit together."""
+    return SemvizError(f"{path}: broken run ({shown(repr(error))}); localize again")
+
+
+BLOB = "EncodedImage:blob"
+"""Component of images; their entities have rows without it, too."""
+FrameRows = dict[str, Pools]
+"""The rows of one frame, by entity."""
+
+
+class ReadFrame(NamedTuple):
+    """A frame, and how many were written before it."""
+
+    record: FrameRecord
+    ordinal: int
+
+
+def read_frame(rows: FrameRows, number: int, head: FileHead) -> ReadFrame:
+    """Return a frame, and note its diagnosis if the file holds that of this version of semviz.
+
+    Raise DamagedRowError if it is not as it was written.
+    """
+    row = rows[run.FRAME]
+    left, right = (_image(rows.get(entity, {})) for entity in (run.IMAGE, run.IMAGE_RIGHT))
+    if head.is_checked:
+        verify_row(run.FRAME, number, row, (left, right))
+    record = replace(decode_row(FrameRecord, row), image=left, image_right=right)
+    if head.recalls and run.DIAGNOSIS in rows:
+        _recall_diagnosis(record, rows[run.DIAGNOSIS])
+    return ReadFrame(record, int(row[run.ORDINAL][0]) if head.is_checked else -1)
+
+
+def _check_head(path: Path, rows: Mapping[str, list[Row]], damaged: bool, is_checked: bool) -> None:
     """Raise SemvizError if the file is no run, of a newer version, or has a damaged head or map."""
     broken = SemvizError(
         f"{path}: the head of this run, with its map, is damaged; restore the file from a copy, "
@@ -250,7 +224,7 @@ def _check_head(path: Path, rows: dict[str, list[Row]], damaged: bool, is_checke
             for entity in (run.INFO, run.MAP):
                 verify_row(entity, *rows[entity][0])
         version = int(rows[run.INFO][0][1]["version"][0])
-    except (*_BROKEN, DamagedRowError):
+    except (*BROKEN, DamagedRowError):
         raise broken if is_checked else foreign from None
     if version > run.FORMAT_VERSION:
         raise SemvizError(
@@ -259,28 +233,7 @@ def _check_head(path: Path, rows: dict[str, list[Row]], damaged: bool, is_checke
         )
 
 
-SoundFrame = tuple[Pools, bytes | None, bytes | None]
-"""The row of a frame, and its left and right image."""
-
-
-def _sound_frames(
-    rows: dict[str, list[Row]], is_checked: bool
-) -> tuple[list[SoundFrame], tuple[int, ...]]:
-    """Return the frames in order, and the numbers of those whose checksum differs."""
-    left, right = (_images(rows.get(entity, [])) for entity in (run.IMAGE, run.IMAGE_RIGHT))
-    sound, damaged = [], []
-    for frame, row in sorted(rows.get(run.FRAME, []), key=lambda row: row[0]):
-        images = left.get(frame), right.get(frame)
-        try:
-            if is_checked:
-                verify_row(run.FRAME, frame, row, images)
-            sound.append((row, *images))
-        except DamagedRowError:
-            damaged.append(frame)
-    return sound, tuple(damaged)
-
-
-def _frames_written(rows: dict[str, list[Row]], is_checked: bool) -> int | None:
+def _frames_written(rows: Mapping[str, list[Row]], is_checked: bool) -> int | None:
     """Return the number of frames of a complete run, None for an interrupted one."""
     for frame, row in rows.get(run.END, []):
         try:
@@ -292,22 +245,19 @@ def _frames_written(rows: dict[str, list[Row]], is_checked: bool) -> int | None:
     return None
 
 
-def _recall_diagnoses(rows: dict[str, list[Row]], frames: Sequence[FrameRecord]) -> None:
-    """Note the diagnoses that the file holds; a damaged one is made again when it is needed."""
-    records = {record.frame.index: record for record in frames}
-    for frame, row in rows.get(run.DIAGNOSIS, []):
-        if frame not in records:
-            continue
-        with suppress(*_BROKEN, SemvizError):
-            verify_row(run.DIAGNOSIS, frame, row)
-            run.KNOWN_DIAGNOSES[records[frame]] = _decode(FrameDiagnosis, row)
+def _recall_diagnosis(record: FrameRecord, row: Pools) -> None:
+    """Note the diagnosis that the file holds; a damaged one is made again when it is needed."""
+    with suppress(*BROKEN, SemvizError):
+        verify_row(run.DIAGNOSIS, record.frame.index, row)
+        run.KNOWN_DIAGNOSES[record] = decode_row(FrameDiagnosis, row)
 
 
-def _decode(kind: Any, row: Pools) -> Any:
+def decode_row(kind: type[Value], row: Pools) -> Value:
+    """Return the value of class ``kind`` that a row holds."""
     return decode(kind, parsed_json(row[run.STRUCTURE][0]), row)
 
 
-def _images(rows: list[Row]) -> dict[int, bytes]:
-    """Return images by frame number. A blob is one list of bytes, or none."""
-    blobs = ((frame, row.get("EncodedImage:blob", ())) for frame, row in rows)
-    return {frame: np.asarray(image).tobytes() for frame, blob in blobs for image in blob}
+def _image(row: Pools) -> bytes | None:
+    """Return an image. A blob is one list of bytes, or none."""
+    images = [np.asarray(image).tobytes() for image in row.get(BLOB, ())]
+    return images[-1] if images else None

@@ -213,7 +213,7 @@ class RerunScene:
     def __init__(
         self, stream: rr.RecordingStream, info: RunInfo, semantic_map: SemanticMap
     ) -> None:
-        self._run = Run(info, semantic_map, ())
+        self.run = Run(info, semantic_map, ())
         self._true_center: FloatArray | None = None
         text = readme(info, semantic_map)
         stream.log(README, rr.TextDocument(text, media_type="text/markdown"), static=True)
@@ -232,9 +232,9 @@ class RerunScene:
         _draw_prior(columns, result)
         _draw_alternatives(columns, result)
         _draw_rays(columns, result, estimate)
-        draw_image_overlay(columns, record, self._run.semantic_map.classes)
+        draw_image_overlay(columns, record, self.run.semantic_map.classes)
         _draw_matrix(columns, record)
-        rerun_plots.draw_frame_plots(columns, self._run, record)
+        rerun_plots.draw_frame_plots(columns, self.run, record)
 
     def _draw_paths(self, columns: Columns, record: FrameRecord, estimate: Pose | None) -> None:
         """Draw the frame's part of the paths; the 3D view shows those of all frames."""

@@ -94,8 +94,8 @@ class Run:
 
     info: RunInfo
     semantic_map: SemanticMap
-    frames: tuple[FrameRecord, ...]
-    """In order of their frame numbers."""
+    frames: Sequence[FrameRecord]
+    """In order of their frame numbers; in memory, or read from the file one by one."""
     complete: bool = True
     """False for an interrupted run; every frame in ``frames`` is complete all the same."""
     damaged: tuple[int, ...] = ()
@@ -192,6 +192,8 @@ EXACT = "/semviz"
 INFO, MAP, FRAME, END = f"{EXACT}/info", f"{EXACT}/map", f"{EXACT}/frame", f"{EXACT}/end"
 DIAGNOSIS = f"{EXACT}/diagnosis"
 """Of the frames that need one. Read if the same version of semviz wrote it."""
+TABLE = f"{EXACT}/table"
+"""Small columns of all frames of a complete run, and the places of the frames in the file."""
 STRUCTURE = "structure"
 """Component with the codec's JSON."""
 CHECKSUM = "crc32"

@@ -12,9 +12,10 @@ from functools import cached_property
 
 import numpy as np
 
-from semviz.runs.diagnosis import diagnosis_name, frame_diagnosis
-from semviz.runs.metrics import OVERCONFIDENT_M, errors_of
-from semviz.runs.run import FrameRecord, Run
+from semviz.runs.diagnosis import frame_diagnosis
+from semviz.runs.frame_table import STATUSES, frame_table
+from semviz.runs.metrics import OVERCONFIDENT_M
+from semviz.runs.run import Run
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.diagnosis.fault import RunFault
 from semviz_core.diagnosis.run import RunDiagnosis
@@ -76,7 +77,7 @@ class RunStory:
     @property
     def headline(self) -> str:
         """One or two short sentences: how many frames are right, and what explains the rest."""
-        frames = len(self.run.frames)
+        frames = len(self.is_wrong)
         right = "within 1 m" if _has_truth(self.run) else "ok"
         first = f"{self.right:,} of {frames:,} frames are {right}."
         wrong = frames - self.right
@@ -100,7 +101,7 @@ class RunStory:
 
 def tell(run: Run, diagnosis: RunDiagnosis | None) -> RunStory:
     """Return the story of a run; without its diagnosis, from those of its frames."""
-    is_wrong = np.array([_is_wrong(record) for record in run.frames], dtype=bool)
+    is_wrong = wrong_frames(run)
     centers = _centers(run)
     length_m = float(np.linalg.norm(np.diff(centers, axis=0), axis=1).sum()) if len(centers) else 0
     return RunStory(
@@ -127,7 +128,7 @@ def frames_text(run: Run, frames: Sequence[int]) -> str:
     """Return the numbers of frames as text, "frames 29-47, 52 and 3 more stretches"."""
     groups = stretches(frames)
     longest = sorted(groups, key=lambda group: group[0] - group[1])[:LISTED]
-    number = [record.frame.index for record in run.frames]
+    number = frame_table(run).index
     named = [
         str(number[first]) if first == last else f"{number[first]}-{number[last]}"
         for first, last in sorted(longest)
@@ -143,38 +144,33 @@ def _other(wrong: int) -> str:
 
 
 def _has_truth(run: Run) -> bool:
-    return any(record.frame.T_map_camera is not None for record in run.frames)
+    return bool(frame_table(run).has_truth.any())
 
 
-def _is_wrong(record: FrameRecord) -> bool:
-    errors = errors_of(record)
-    if errors is not None:
-        return errors.distance_m > OVERCONFIDENT_M
-    if record.frame.T_map_camera is not None:
-        return True  # no pose
-    return record.localization.status != "ok"
+def wrong_frames(run: Run) -> BoolArray:
+    """Return (n,) whether each frame is wrong: over 1 m off or without a pose; without a true pose,
+    whether its status is not ok."""
+    table = frame_table(run)
+    known = np.isfinite(table.distance_m)
+    without_error = table.has_truth | ~table.is_ok
+    return np.where(known, table.distance_m > OVERCONFIDENT_M, without_error)
 
 
 def worst_position(run: Run) -> int:
     """Return the position of the worst frame: a sure and wrong pose, another wrong one, the larger
     error first, then no pose; without such a frame the first."""
-
-    def badness(record: FrameRecord) -> tuple[bool, float]:
-        errors = errors_of(record)
-        if errors is None:
-            return False, 0.0
-        return record.localization.status == "ok", errors.distance_m
-
-    wrong = [position for position, record in enumerate(run.frames) if _is_wrong(record)]
-    return max(wrong, key=lambda position: badness(run.frames[position]), default=0)
+    table, wrong = frame_table(run), np.flatnonzero(wrong_frames(run))
+    if not len(wrong):
+        return 0
+    error_m = np.nan_to_num(table.distance_m[wrong])
+    is_sure = table.is_ok[wrong] & np.isfinite(table.distance_m[wrong])
+    return int(wrong[np.lexsort((-wrong, error_m, is_sure))[-1]])
 
 
 def _causes(run: Run, diagnosis: RunDiagnosis | None, is_wrong: BoolArray) -> tuple[Cause, ...]:
     """Give every wrong frame to one cause: that of the run which explains most, or its own."""
-    names = {
-        int(position): diagnosis_name(run, run.frames[position])
-        for position in np.flatnonzero(is_wrong)
-    }
+    wrong, table = np.flatnonzero(is_wrong), frame_table(run)
+    names = dict(zip(wrong.tolist(), table.texts_of(table.diagnosis[wrong]), strict=True))
     causes: list[Cause] = []
     explained: list[tuple[RunFault, list[int]]] = []
     if diagnosis is not None:
@@ -188,7 +184,8 @@ def _causes(run: Run, diagnosis: RunDiagnosis | None, is_wrong: BoolArray) -> tu
         left = tuple(position for position in frames if position in names)
         if left:
             causes.append(Cause(fault.kind, fault.sentence, left, is_of_run=True))
-            names = {position: name for position, name in names.items() if position not in left}
+            for position in left:
+                del names[position]
     causes.extend(_by_name(run, names))
     return tuple(sorted(causes, key=lambda cause: -len(cause.frames)))
 
@@ -218,15 +215,11 @@ def _by_name(run: Run, names: dict[int, str]) -> list[Cause]:
 
 def _centers(run: Run) -> FloatArray:
     """Return (n, 2) centres: the true one, that of an ok pose, the prior, or between neighbours."""
-    centers = np.full((len(run.frames), 2), np.nan)
-    for position, record in enumerate(run.frames):
-        result, truth = record.localization, record.frame.T_map_camera
-        if truth is not None:
-            centers[position] = truth.translation[:2]
-        elif result.T_camera_map is not None and result.status == "ok":
-            centers[position] = result.T_camera_map.inverse().translation[:2]
-        elif result.prior is not None:
-            centers[position] = result.prior.position_m[:2]
+    table = frame_table(run)
+    sure_m = np.where(table.is_ok[:, None], table.estimate_m, np.nan)
+    centers = table.prior_m[:, :2].copy()
+    for better_m in (sure_m[:, :2], table.truth_m[:, :2]):
+        centers = np.where(np.isfinite(better_m), better_m, centers)
     known = np.flatnonzero(np.isfinite(centers).all(axis=1))
     if not len(known):
         return np.zeros((0, 2))
@@ -274,6 +267,28 @@ def _merged_passes(centers: FloatArray, starts: IntArray, part_m: float) -> list
     return merged
 
 
+STRETCH = 50
+"""Consecutive frames, so that several see the same elements."""
+
+
+def typical_positions(run: Run, most: int) -> list[int]:
+    """Return the positions of at most so many frames, in order, that stand for a long run.
+
+    They are whole stretches: half of them where most frames are wrong, the others evenly spread.
+    """
+    frames = len(run.frames)
+    if frames <= most:
+        return list(range(frames))
+    starts, chosen = np.arange(0, frames, STRETCH), most // STRETCH
+    wrong = np.add.reduceat(wrong_frames(run).astype(np.int64), starts)
+    worst = np.argsort(-wrong, kind="stable")[: chosen // 2]
+    others = np.setdiff1d(np.arange(len(starts)), worst)
+    spread = others[np.linspace(0, len(others) - 1, chosen - len(worst)).astype(np.int64)]
+    rows = np.sort(starts[np.concatenate([worst, spread])])
+    return [int(k) for start in rows for k in range(start, min(start + STRETCH, frames))]
+
+
 def counts_by_status(run: Run) -> Counter[str]:
     """Return the number of frames of each status."""
-    return Counter(result.status for result in run.localizations)
+    rows = np.bincount(frame_table(run).status, minlength=len(STATUSES))
+    return Counter(dict(zip(STATUSES, rows.tolist(), strict=True)))

@@ -21,10 +21,12 @@ import rerun.blueprint as rrb
 from semviz.runs import rerun_plots, rerun_scene, run
 from semviz.runs.codec import Pools, encode, row_checksum
 from semviz.runs.columns import FRAME, Columns
+from semviz.runs.frame_table import TableBuilder
 from semviz.runs.images import relocate_images
 from semviz.runs.reader import load_run
 from semviz.runs.rerun_scene import RerunScene
 from semviz.runs.run import FrameRecord, Run, RunInfo
+from semviz.runs.stored_run import StoredTable
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
@@ -146,6 +148,9 @@ class RunWriter:
         self.frames = 0
         """Number of frames written."""
         self._last_index: int | None = None
+        self._path = path
+        self._places = list[tuple[int, int]]()
+        """First byte of each frame's messages in the file, and the byte after them."""
         self._stream = rr.RecordingStream(run.APPLICATION, send_properties=False)
         self._stream.save(path, default_blueprint=make_blueprint(info, semantic_map))
         self._stream.send_recording_name(info.name)
@@ -154,6 +159,7 @@ class RunWriter:
         _add_exact(columns, run.MAP, semantic_map)
         columns.send(self._stream)
         self._scene = RerunScene(self._stream, info, semantic_map)
+        self._table = TableBuilder(self._scene.run)
         self._drawn = Columns()
         self._flush()
 
@@ -166,6 +172,8 @@ class RunWriter:
         self._scene.draw(self._drawn, record)
         if self._drawn.frames == FRAMES_PER_BATCH:
             self._send_drawn()
+            self._flush()
+        start = self._size()
         columns = Columns()
         columns.begin(frame.index, frame.time_s)
         columns.jpeg(run.IMAGE, record.image)
@@ -177,6 +185,8 @@ class RunWriter:
         _add_exact(columns, run.FRAME, record, frame.index, ordinal=self.frames)
         columns.send(self._stream)
         self._flush()
+        self._places.append((start, self._size()))
+        self._table.add(record)
         self._last_index = frame.index
         self.frames += 1
 
@@ -194,6 +204,7 @@ class RunWriter:
         if self._drawn.frames:
             self._send_drawn()
         if kind is None and self._completes:
+            self._send_table()
             columns = Columns()
             frames = {"frames": np.array([self.frames + self._lost_frames])}
             _add_checked(columns, run.END, frames, row_checksum(run.END, 0, frames))
@@ -204,6 +215,17 @@ class RunWriter:
     def _send_drawn(self) -> None:
         self._drawn.send(self._stream)
         self._drawn = Columns()
+
+    def _send_table(self) -> None:
+        self._flush()
+        start, stop = np.array(self._places, np.int64).reshape(-1, 2).T
+        columns = Columns()
+        _add_exact(columns, run.TABLE, StoredTable(self._table.table(), start, stop, self._size()))
+        columns.send(self._stream)
+        self._flush()
+
+    def _size(self) -> int:
+        return self._path.stat().st_size
 
     def _flush(self) -> None:
         try:

@@ -1,7 +1,7 @@
 """The story of a run: no frame counts twice, causes come by size, and the page leads to frames."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.metadata import version
 from itertools import pairwise
@@ -40,7 +40,7 @@ from semviz.runs.diagnosis import (
 )
 from semviz.runs.reader import assemble, load_run, read_rows
 from semviz.runs.run import DIAGNOSIS, FrameRecord, Run
-from semviz.runs.story import frames_text, stretches, tell, worst_position
+from semviz.runs.story import frames_text, stretches, tell, typical_positions, worst_position
 from semviz.web.gateway import Gateway
 from semviz_core.diagnosis.fault import RunFault
 from semviz_core.diagnosis.run import RunDiagnosis
@@ -164,12 +164,18 @@ def test_what_a_healthy_frame_shows_is_named_with_its_element_and_by_how_much(
     run, pole = run_with_a_moved_pole()
     run = replace(run, info=replace(run.info, version=version("semviz")))
     read = load_run(saved(run, tmp_path / "moved.rrd"))
-    noticed = [row.noticed for row in run_view("moved", read).frames if row.diagnosis == "healthy"]
+    columns = run_view("moved", read).frames
+    noticed = [
+        columns.texts[noticed]
+        for noticed, diagnosis in zip(columns.noticed, columns.diagnosis, strict=True)
+        if columns.texts[diagnosis] == "healthy"
+    ]
     name = run.semantic_map.name_of(pole)
     assert len(noticed) == 5
     told = [re.fullmatch(rf"{name} \((\d+) px\) moved in the map", text) for text in noticed]
     assert all(match and int(match[1]) > 25 for match in told), noticed
-    assert {row.noticed for row in run_view("first", small_run()).frames} == {""}
+    columns = run_view("first", small_run()).frames
+    assert {columns.texts[row] for row in columns.noticed} == {""}
 
 
 def _refuse(*_: object) -> None:
@@ -222,7 +228,10 @@ def test_the_page_says_that_a_run_is_being_read_and_stops_saying_it(
 ) -> None:
     released, read = Event(), RunLibrary.run
 
-    def slow(self: RunLibrary, name: str) -> Run:
+    def slow(
+        self: RunLibrary, name: str, report: Callable[[str, float], None] = lambda _, share: None
+    ) -> Run:
+        report("reading its frames", 0.25)
         released.wait(60.0)
         return read(self, name)
 
@@ -230,8 +239,30 @@ def test_the_page_says_that_a_run_is_being_read_and_stops_saying_it(
     page.route("**/view/**", lambda route: route.abort())
     page.goto(at(served, ""))
     notice = page.locator("#notice")
-    wait_for(page, lambda: "Reading lost, " in (notice.text_content() or ""), "the notice")
+    wait_for(
+        page,
+        lambda: "Opening lost: reading its frames, 25 %" in (notice.text_content() or ""),
+        "the notice",
+    )
     released.set()
     wait_for(page, lambda: page.locator("#frame-list .row").count() > 0, "the run")
-    page.wait_for_timeout(1200)
     assert notice.is_hidden()
+
+
+def test_a_long_run_is_diagnosed_by_stretches_that_hold_its_worst_and_its_usual_frames() -> None:
+    run = small_run()
+    frames = tuple(
+        replace(run.frames[0], frame=replace(run.frames[0].frame, index=index))
+        for index in range(2_000)
+    )
+    spoil = off_by(3.0)
+    wrong = range(730, 745)
+    long = replace(
+        run, frames=tuple(spoil(one) if one.frame.index in wrong else one for one in frames)
+    )
+    chosen = typical_positions(long, 400)
+    assert len(chosen) == len(set(chosen)) == 400
+    assert chosen == sorted(chosen)
+    assert set(wrong) <= set(chosen)
+    assert (chosen[0], chosen[-1]) == (0, 1_999)
+    assert typical_positions(run, 400) == list(range(len(run.frames)))

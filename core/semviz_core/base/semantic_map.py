@@ -127,6 +127,10 @@ class SemanticMap:
             has = "has an end, but is a point" if elements.is_line[wrong[0]] else "has no end"
             raise SemvizError(f"{name} {has}; give a pole two ends, a sign its centre alone")
 
+    def __contains__(self, element_id: int) -> bool:
+        """Whether the map has an element with this id."""
+        return element_id in self._row_of
+
     def __len__(self) -> int:
         return len(self.elements)
 

@@ -61,13 +61,16 @@ def element_records(
     detector: DetectorModel | None = None,
     watch: reference.ProgressCallback = reference.no_progress,
 ) -> tuple[ElementRecord, ...]:
-    """Return records of all elements in view or detected, sorted by falling outlier count."""
+    """Return records of all elements in view or detected, sorted by falling outlier count.
+
+    Frames are taken one by one, so they may come from a file.
+    """
     records: dict[int, ElementRecord] = {}
-    cases = [
+    cases = (
         reference.FrameReference.of(localization, semantic_map, truth, detector)
         for localization, truth in frames
-    ]
-    for position, case in enumerate(watch(cases, "checking elements", len(cases))):
+    )
+    for position, case in enumerate(watch(cases, "checking elements", len(frames))):
         if case.reference is not None:
             _add_case(records, position, case)
     return tuple(sorted(records.values(), key=lambda record: (-len(record.outlier), record.id)))

@@ -140,6 +140,16 @@ class RunDiagnosis:
     causes: tuple[RunFault, ...] = ()
     """Wrong priors, sigmas and odometry, and what shifts all elements together."""
 
+    def at(self, positions: Sequence[int]) -> "RunDiagnosis":
+        """Return the diagnosis of the frames at ``positions`` of a run, with its positions."""
+        calibration = self.calibration
+        return replace(
+            self,
+            calibration=None if calibration is None else _at(calibration, positions),
+            elements=tuple(_at(fault, positions) for fault in self.elements),
+            causes=tuple(_at(fault, positions) for fault in self.causes),
+        )
+
 
 def diagnose_run(
     frames: Sequence[tuple[Localization, GroundTruth | None]],

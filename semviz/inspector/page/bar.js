@@ -5,7 +5,7 @@ import { byId, el, fixed } from "/static/dom.js";
 import { statusMark } from "/static/glyphs.js";
 
 /** @typedef {import("/static/protocol").inspector.FrameView} FrameView */
-/** @typedef {import("/static/protocol").inspector.RunView} RunView */
+/** @typedef {import("./run_rows.js").OpenRun} OpenRun */
 /** @typedef {import("./main.js").Page} Page */
 
 const STATUS = { ok: "Ok", ambiguous: "Ambiguous", cannot: "Cannot" };
@@ -33,7 +33,7 @@ export class Bar {
     this.choice.replaceChildren(...names.map((name) => el("option", { text: name, value: name })));
   }
 
-  /** @param {RunView} run */
+  /** @param {OpenRun} run */
   showRun(run) {
     this.choice.value = run.name;
     byId("method").textContent = `${run.method} in ${run.map}`;

@@ -22,9 +22,9 @@ const COLUMNS = [
   { name: "name", text: "element", of: (row) => row.name, title: "Element" },
   { name: "sure", text: "sure %", of: (row) => (row.log_odds === null ? null : -row.log_odds), title: "Probability that it exists, judged from its detections. The least sure first", tracks: true },
   { name: "view", text: "view", of: (row) => row.in_view, title: "Frames with the element in view", wide: true },
-  { name: "seen", text: "seen", of: (row) => row.seen.length, title: "Frames that detect it" },
-  { name: "used", text: "used", of: (row) => row.used.length, title: "Frames whose estimate uses it", wide: true },
-  { name: "out", text: "out", of: (row) => row.outlier.length, title: "Frames in which it is an outlier at the true pose, or at the estimate without ground truth" },
+  { name: "seen", text: "seen", of: (row) => row.seen, title: "Frames that detect it" },
+  { name: "used", text: "used", of: (row) => row.used, title: "Frames whose estimate uses it", wide: true },
+  { name: "out", text: "out", of: (row) => row.outlier, title: "Frames in which it is an outlier at the true pose, or at the estimate without ground truth" },
   { name: "px", text: "px", of: (row) => row.median_px, title: "Median residual over the frames that detect it, px" },
   { name: "cost", text: "cost", of: (row) => row.cost_m, title: "Mean error with this element minus error without it (m), over the frames that use it. Negative: the element helps. The pose is refined without it; the search is not repeated" },
 ];
@@ -224,8 +224,9 @@ export class ElementList {
 
   /** @param {ElementRow} row */
   choose(row) {
-    const { position } = this.page.store.frame;
-    const isHere = row.seen.includes(position) || row.used.includes(position);
+    const { mapped, observed, pairs } = this.page.store.frame;
+    const column = mapped.findIndex(({ id }) => id === row.id);
+    const isHere = column >= 0 && (observed.some(({ truth }) => truth === column) || pairs.some((pair) => pair.mapped === column));
     this.goTo({ element: row.id }, isHere ? null : row.position);
   }
 
@@ -249,8 +250,8 @@ function cellText({ name, of }, row) {
 
 /** @param {ElementRow} row */
 function rowTitle({ name, in_view: inView, seen, used, outlier, share, median_px: medianPx, cost_m: costM }) {
-  const sentences = [`${name}: in view in ${inView} frames, detected in ${seen.length}, used in ${used.length}.`];
-  if (seen.length) sentences.push(`An outlier in ${outlier.length} of the frames that detect it (${Math.round(100 * (share ?? 0))} %); median residual ${fixed(medianPx, 1)} px.`);
+  const sentences = [`${name}: in view in ${inView} frames, detected in ${seen}, used in ${used}.`];
+  if (seen) sentences.push(`An outlier in ${outlier} of the frames that detect it (${Math.round(100 * (share ?? 0))} %); median residual ${fixed(medianPx, 1)} px.`);
   if (costM !== null) sentences.push(`The mean error is ${fixed(Math.abs(costM), 2)} m ${costM > 0 ? "larger" : "smaller"} with it than without it.`);
   return sentences.join(" ");
 }

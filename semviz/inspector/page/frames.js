@@ -7,7 +7,7 @@ import { VirtualList } from "/static/virtual_list.js";
 import { flag, memberOf, numberOf, textOf, wholeNumber, yes } from "./address.js";
 
 /** @typedef {import("/static/protocol").inspector.ElementFramesEvent} ElementFramesEvent */
-/** @typedef {import("/static/protocol").inspector.FrameRow} FrameRow */
+/** @typedef {import("./run_rows.js").FrameRow} FrameRow */
 /** @typedef {import("/static/protocol").inspector.FrameView} FrameView */
 /** @typedef {import("/static/protocol").inspector.StoryCause} StoryCause */
 /** @typedef {import("./panel.js").AddressPart} AddressPart */
@@ -18,8 +18,8 @@ const STATUSES = ["ok", "ambiguous", "cannot"];
 const ROW_PX = 36; // two lines of a diagnosis
 
 /** @typedef {FrameRow["status"]} Status */
-/** @typedef {FrameRow & {position: number}} PlacedRow */
-/** @typedef {PlacedRow & {members: number[]}} FrameGroup the worst of consecutive frames, and the positions of all */
+/** @typedef {import("./run_rows.js").PlacedRow} PlacedRow */
+/** @typedef {{row: PlacedRow, severity: number, first: number, last: number}} FrameGroup the worst of consecutive frames, and the positions of all */
 
 /** How bad a frame is: overconfident, over 1 m off, without a pose, ambiguous, then by error.
  *
@@ -46,18 +46,27 @@ function errorText(row) {
  * @returns {FrameGroup[]}
  */
 function grouped(rows) {
-  /** @type {PlacedRow[][]} */
+  /** @type {FrameGroup[]} */
   const groups = [];
   for (const row of rows) {
     const group = groups.at(-1);
-    const last = group?.at(-1);
-    const isNext = last && last.position + 1 === row.position;
-    if (isNext && last.diagnosis === row.diagnosis && last.status === row.status && row.diagnosis !== "healthy") group?.push(row);
-    else groups.push([row]);
+    const worse = severity(row);
+    if (!group || group.last + 1 !== row.position || !isAlike(group.row, row)) {
+      groups.push({ row, severity: worse, first: row.position, last: row.position });
+      continue;
+    }
+    group.last = row.position;
+    if (worse > group.severity) Object.assign(group, { row, severity: worse });
   }
-  /** @param {PlacedRow[]} group */
-  const worst = (group) => group.reduce((a, b) => (severity(b) > severity(a) ? b : a));
-  return groups.map((group) => ({ ...worst(group), members: group.map((row) => row.position) }));
+  return groups;
+}
+
+/**
+ * @param {PlacedRow} a
+ * @param {PlacedRow} b
+ */
+function isAlike(a, b) {
+  return a.diagnosis === b.diagnosis && a.status === b.status && a.diagnosis !== "healthy";
 }
 
 export class FrameList {
@@ -66,8 +75,8 @@ export class FrameList {
     this.page = page;
     /** @type {FrameGroup[]} */
     this.groups = [];
-    /** @type {Map<number, number>} */
-    this.groupOf = new Map(); // by position
+    /** @type {Int32Array} */
+    this.groupOf = new Int32Array(0); // by position; -1 where the list has none
     this.rowList = new VirtualList(byId("frame-list"), ROW_PX, (index) => listRow(this.groups[index]));
     /** @type {Status | null} */
     this.status = null;
@@ -112,6 +121,8 @@ export class FrameList {
   }
 
   showRun() {
+    const digits = String(this.page.store.run.frames.at(-1)?.index ?? 0).length;
+    byId("frames").style.setProperty("--digits", String(Math.max(digits, 4))); // the widest number
     this.clear();
     this.fill();
   }
@@ -143,14 +154,14 @@ export class FrameList {
 
   /** @param {number} position */
   pointAt(position) {
-    this.rowList.mark(this.groupOf.get(position) ?? -1);
+    this.rowList.mark(this.groupOf[position] ?? -1);
   }
 
   /** @param {number} by */
   step(by) {
-    const now = this.groupOf.get(this.page.store.target) ?? -1;
+    const now = this.groupOf[this.page.store.target] ?? -1;
     const next = this.groups[Math.min(Math.max(now + by, 0), this.groups.length - 1)];
-    if (next) this.page.go(next.position);
+    if (next) this.page.go(next.row.position);
   }
 
   /** Sets filters; omitted ones stay as they are.
@@ -188,7 +199,7 @@ export class FrameList {
    */
   rows(except = "") {
     const explained = this.cause && new Set(this.cause.frames);
-    return this.page.store.run.frames.map((row, position) => ({ ...row, position })).filter((row) =>
+    return this.page.store.run.frames.filter((row) =>
       (except === "status" || !this.status || row.status === this.status)
       && (except === "diagnosis" || !this.diagnosis || row.diagnosis === this.diagnosis)
       && (!this.withElement || this.withElement.has(row.position))
@@ -197,8 +208,9 @@ export class FrameList {
   }
 
   fill() {
-    this.groups = grouped(this.rows()).sort((a, b) => severity(b) - severity(a) || a.position - b.position);
-    this.groupOf = new Map(this.groups.flatMap(({ members }, index) => members.map((position) => [position, index])));
+    this.groups = grouped(this.rows()).sort((a, b) => b.severity - a.severity || a.first - b.first);
+    this.groupOf = new Int32Array(this.page.store.run.frames.length).fill(-1);
+    this.groups.forEach(({ first, last }, index) => this.groupOf.fill(index, first, last + 1));
     this.rowList.show(this.groups.length);
     if (!this.groups.length) byId("frame-list").append(el("li", { class: "none dim", text: "No frames match these filters." }));
     byId("filters").replaceChildren(this.chip(null), ...STATUSES.map((status) => this.chip(status)), this.noticedChip(), ...this.causeChip());
@@ -260,13 +272,14 @@ export class FrameList {
 }
 
 /** @param {FrameGroup} group */
-function listRow(group) {
-  return el("li", { class: "row", title: group.noticed ? `${group.reason} Noticed: ${group.noticed}.` : group.reason, data: { position: group.position } },
-    statusMark(group.status),
-    el("span", { class: "index", text: group.index }),
-    el("span", { class: group.overconfident ? "wrong" : "", text: errorText(group) }),
-    el("span", { class: "diagnosis", text: group.noticed || group.diagnosis }),
-    el("span", { class: "count", text: group.members.length > 1 ? `${group.members.length}×` : "" }));
+function listRow({ row, first, last }) {
+  const frames = last + 1 - first;
+  return el("li", { class: "row", title: row.noticed ? `${row.reason} Noticed: ${row.noticed}.` : row.reason, data: { position: row.position } },
+    statusMark(row.status),
+    el("span", { class: "index", text: row.index }),
+    el("span", { class: row.overconfident ? "wrong" : "", text: errorText(row) }),
+    el("span", { class: "diagnosis", text: row.noticed || row.diagnosis }),
+    el("span", { class: "count", text: frames > 1 ? `${frames}×` : "" }));
 }
 
 /** Goes to the frame whose row was clicked.

@@ -10,7 +10,7 @@ import { ImageCache } from "./image_cache.js";
 
 /** @typedef {import("/static/protocol").inspector.FrameView} FrameView */
 /** @typedef {import("/static/protocol").inspector.RightImageEvent} RightImageEvent */
-/** @typedef {import("/static/protocol").inspector.RunView} RunView */
+/** @typedef {import("./run_rows.js").OpenRun} OpenRun */
 /** @typedef {import("/static/protocol").inspector.StateView} StateView */
 /** @typedef {import("/static/protocol").inspector.WhatIfEvent} WhatIfEvent */
 /** @typedef {import("/static/protocol").inspector.WhatIfResult} WhatIfResult */
@@ -125,7 +125,7 @@ export class ImagePanel {
 
   /* From the server */
 
-  /** @param {RunView} run */
+  /** @param {OpenRun} run */
   showRun(run) {
     this.frame = null;
     this.model = null;

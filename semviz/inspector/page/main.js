@@ -22,6 +22,7 @@ import { LabelEdits } from "./label_edits.js";
 import { MatrixPanel } from "./matrix.js";
 import { Neighbours } from "./neighbours.js";
 import { OverTime } from "./over_time/over_time.js";
+import { openRun } from "./run_rows.js";
 import { SelectedCard } from "./selected.js";
 import { SolverCard } from "./solver.js";
 import { SpacePanel } from "./space.js";
@@ -35,15 +36,17 @@ import { WhatIf } from "./what_if.js";
 import { WhyCard } from "./why.js";
 
 /** @typedef {import("/static/protocol").inspector.FrameView} FrameView */
-/** @typedef {import("/static/protocol").inspector.RunView} RunView */
+/** @typedef {import("/static/protocol").inspector.ReadingEvent} ReadingEvent */
 /** @typedef {import("/static/protocol").inspector.StateView} StateView */
 /** @typedef {import("/static/protocol").inspector.Requests} Requests */
 /** @typedef {import("/static/protocol").inspector.Events} Events */
 /** @typedef {import("/static/keys.js").Command} Command */
 /** @typedef {import("./panel.js").AddressPart} AddressPart */
 /** @typedef {import("./panel.js").Panel} Panel */
+/** @typedef {import("./run_rows.js").OpenRun} OpenRun */
 
 const POINT_DELAY_MS = 50; // a frame that arrives sooner is painted once, not twice
+const OPENING_MS = 400; // a run that opens sooner needs no notice
 const PLAY_INTERVAL_MS = 60; // between frames
 
 export class Page {
@@ -55,8 +58,8 @@ export class Page {
     this.scene = null;
     /** @type {ReturnType<typeof setTimeout> | null} */
     this.pointing = null;
-    /** @type {ReturnType<typeof setInterval> | undefined} */
-    this.reading = undefined;
+    /** @type {ReturnType<typeof setTimeout> | undefined} */
+    this.opening = undefined;
     /** @type {PageSocket<Requests, Events>} */
     this.socket = new PageSocket();
     this.image = new ImagePanel(this, () => this.imagePainted());
@@ -107,7 +110,8 @@ export class Page {
     socket.on("hello", ({ session }) => this.startSession(session));
     socket.on("runs", ({ names }) => this.showRuns(names));
     socket.on("scene", () => this.showScene());
-    socket.on("run", ({ run }) => this.showRun(run));
+    socket.on("reading", (event) => this.showReading(event));
+    socket.on("run", ({ run }) => this.showRun(openRun(run)));
     socket.on("frame", ({ frame, state }) => this.showFrame(frame, state));
     socket.on("state", ({ state }) => this.changeState(state));
     socket.on("selection", () => { if (!this.store.isStepping) this.release(); });
@@ -130,7 +134,7 @@ export class Page {
 
   /** @param {string} text */
   showError(text) {
-    clearInterval(this.reading);
+    clearTimeout(this.opening);
     this.notice(text);
     this.address.cancel();
     this.store.cancel();
@@ -148,10 +152,19 @@ export class Page {
     this.store.waiting = false;
   }
 
-  /** @param {RunView} run */
+  /** A run without a table is read through: says how far, until it arrives or is refused.
+   *
+   * @param {ReadingEvent} event
+   */
+  showReading({ name, step, share }) {
+    clearTimeout(this.opening);
+    this.notice(`Opening ${name}: ${step}, ${Math.round(100 * share)} %`, true);
+  }
+
+  /** @param {OpenRun} run */
   showRun(run) {
+    clearTimeout(this.opening);
     this.store.run = run;
-    clearInterval(this.reading);
     this.notice(run.note, true);
     this.forEachPanel((panel) => panel.showRun?.(run));
   }
@@ -205,17 +218,8 @@ export class Page {
    */
   open(run, frame) {
     this.socket.send("open_run", { run, frame, theme: currentTheme() });
-    this.showReading(run ?? this.store.names[0] ?? "");
-  }
-
-  /** A long run takes seconds to read: says so, and for how long, until it arrives or is refused.
-   *
-   * @param {string} name
-   */
-  showReading(name) {
-    clearInterval(this.reading);
-    const start = Date.now();
-    this.reading = setInterval(() => this.notice(`Reading ${name}, ${Math.round((Date.now() - start) / 1000)} s…`, true), 1000);
+    clearTimeout(this.opening);
+    this.opening = setTimeout(() => this.notice(`Opening ${run ?? this.store.names[0] ?? ""}…`, true), OPENING_MS);
   }
 
   /** @param {number} position */

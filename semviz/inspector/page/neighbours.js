@@ -9,7 +9,7 @@ import { drawMapped, drawPhoto, drawDetection } from "./image_drawing.js";
 import { middle } from "./image_model.js";
 
 /** @typedef {import("./panel.js").Figure} Figure */
-/** @typedef {import("/static/protocol").inspector.FrameRow} FrameRow */
+/** @typedef {import("./run_rows.js").FrameRow} FrameRow */
 /** @typedef {import("/static/protocol").inspector.NeighbourView} NeighbourView */
 /** @typedef {import("/static/protocol").inspector.StateView} StateView */
 /** @typedef {import("/static/canvas.js").Point} Point */

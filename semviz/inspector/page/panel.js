@@ -1,7 +1,7 @@
 // @ts-check
 /* Types of the panels and of what they share. */
 
-/** @typedef {import("/static/protocol").inspector.RunView} RunView */
+/** @typedef {import("./run_rows.js").OpenRun} OpenRun */
 /** @typedef {import("/static/protocol").inspector.FrameView} FrameView */
 /** @typedef {import("/static/protocol").inspector.StateView} StateView */
 /** @typedef {import("/static/canvas.js").Point} Point */
@@ -14,7 +14,7 @@
  * @property {() => Command[]} [commands] its keys
  * @property {() => AddressPart[]} [address] its part of the page's address
  * @property {() => Figure[]} [figures] its views that can be saved as an image
- * @property {(run: RunView) => void} [showRun] another run was opened
+ * @property {(run: OpenRun) => void} [showRun] another run was opened
  * @property {(frame: FrameView) => void} [showFrame] another frame is shown
  * @property {(state: StateView) => void} [showState] the selection or the display settings changed
  * @property {() => void} [showTheme] the theme changed

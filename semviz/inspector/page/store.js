@@ -1,7 +1,7 @@
 // @ts-check
 /* The page's state: run, frame shown, target frame. Panels read it, the page changes it. */
 
-/** @typedef {import("/static/protocol").inspector.RunView} RunView */
+/** @typedef {import("./run_rows.js").OpenRun} OpenRun */
 /** @typedef {import("/static/protocol").inspector.FrameView} FrameView */
 /** @typedef {import("/static/protocol").inspector.StateView} StateView */
 
@@ -12,7 +12,7 @@ const INITIAL = {
 };
 
 export class Store {
-  /** @type {RunView | null} */
+  /** @type {OpenRun | null} */
   #run = null;
   /** @type {FrameView | null} */
   #frame = null;

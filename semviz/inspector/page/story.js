@@ -5,7 +5,7 @@ import { byId, el, fill, fixed } from "/static/dom.js";
 import { statusMark } from "/static/glyphs.js";
 import { StoryMap } from "./story_map.js";
 
-/** @typedef {import("/static/protocol").inspector.RunView} RunView */
+/** @typedef {import("./run_rows.js").OpenRun} OpenRun */
 /** @typedef {import("/static/protocol").inspector.StoryCause} StoryCause */
 /** @typedef {import("/static/protocol").inspector.StoryEvent} StoryEvent */
 /** @typedef {import("/static/protocol").inspector.StoryView} StoryView */
@@ -41,7 +41,7 @@ export class Story {
     return this.page.views.shown === "story";
   }
 
-  /** @param {RunView} run */
+  /** @param {OpenRun} run */
   showRun(run) {
     if (run.name !== this.run) {
       this.found = null;
@@ -66,12 +66,19 @@ export class Story {
   }
 
   /** @param {StoryEvent} event */
-  showStory({ found, progress }) {
+  showStory({ found, progress, diagnosed }) {
+    const { length } = this.page.store.run.frames;
+    const within = diagnosed < length ? ` in ${diagnosed.toLocaleString("en")} typical frames` : "";
+    byId("story-progress").textContent = progress ? `Looking for causes of the whole run${within}: ${progress}` : within && `Causes of the whole run were looked for${within}.`;
+    if (found) this.showFound(found);
+  }
+
+  /** @param {StoryView} found */
+  showFound(found) {
     this.found = found;
     if (this.cause) this.page.list.showCause(found.causes.find(({ kind }) => kind === this.cause?.kind) ?? null);
     byId("story-headline").textContent = found.headline;
     byId("story-detail").textContent = found.detail;
-    byId("story-progress").textContent = progress ? `Looking for causes of the whole run: ${progress}` : "";
     fill(byId("story-tiles"), tiles(found));
     byId("story-about").textContent = about(found, this.page.store.run.frames.length);
     this.map.use(found.route, found.causes);

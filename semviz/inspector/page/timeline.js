@@ -13,8 +13,8 @@ import { TimelineAxes, drawCursor, drawFrameNumbers, drawScale } from "./timelin
 /** @typedef {import("/static/protocol").inspector.ComparisonView} ComparisonView */
 /** @typedef {import("/static/protocol").inspector.ForecastEvent} ForecastEvent */
 /** @typedef {import("/static/protocol").inspector.ForecastView} ForecastView */
-/** @typedef {import("/static/protocol").inspector.FrameRow} FrameRow */
-/** @typedef {import("/static/protocol").inspector.RunView} RunView */
+/** @typedef {import("./run_rows.js").FrameRow} FrameRow */
+/** @typedef {import("./run_rows.js").OpenRun} OpenRun */
 /** @typedef {import("/static/protocol").inspector.StateView} StateView */
 /** @typedef {FrameRow["status"]} Status */
 /** @typedef {import("./panel.js").Context} Context */
@@ -31,7 +31,7 @@ export class Timeline extends TimelineCanvas {
    *
    * @type {(ComparedFrame | null)[] | null} */
   changed = null;
-  /** @type {RunView | null} */
+  /** @type {OpenRun | null} */
   run = null;
   /** @type {ForecastView | null} */
   forecast = null;
@@ -56,7 +56,7 @@ export class Timeline extends TimelineCanvas {
     return row ? `Frame ${row.index}: ${row.diagnosis}` : "";
   }
 
-  /** @param {RunView} run */
+  /** @param {OpenRun} run */
   showRun(run) {
     if (run.name !== this.run?.name) this.compareWith("");
     this.run = run;

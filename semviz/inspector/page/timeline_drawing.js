@@ -84,7 +84,7 @@ export function drawScale(context, axes) {
  * @param {number} y
  */
 export function drawFrameNumbers(context, axes, frames, y) {
-  const step = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].find((count) => count * axes.slot > 56) ?? 2000;
+  const step = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000].find((count) => count * axes.slot > 56) ?? 50_000;
   for (let position = 0; position < frames.length; position += step) {
     write(context, frames[position].index, axes.x(position), y, "center", "alphabetic");
   }

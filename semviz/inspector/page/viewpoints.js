@@ -3,7 +3,7 @@
 
 import { byId, el } from "/static/dom.js";
 
-/** @typedef {import("/static/protocol").inspector.RunView} RunView */
+/** @typedef {import("./run_rows.js").OpenRun} OpenRun */
 /** @typedef {import("/static/keys.js").Command} Command */
 /** @typedef {import("./panel.js").AddressPart} AddressPart */
 /** @typedef {import("./main.js").Page} Page */
@@ -33,7 +33,7 @@ export class Viewpoints {
     return [{ key: "y", group: "3D", title: "Saved viewpoints", run: () => this.toggle() }];
   }
 
-  /** @param {RunView} run */
+  /** @param {OpenRun} run */
   showRun(run) {
     this.key = `semviz.viewpoints.${run.map_frame}`;
     this.fill();

@@ -3,7 +3,7 @@
 
 import { byId } from "/static/dom.js";
 
-/** @typedef {import("/static/protocol").inspector.RunView} RunView */
+/** @typedef {import("./run_rows.js").OpenRun} OpenRun */
 /** @typedef {import("/static/keys.js").Command} Command */
 /** @typedef {import("./panel.js").AddressPart} AddressPart */
 /** @typedef {import("./main.js").Page} Page */
@@ -59,7 +59,7 @@ export class Views {
     return this.page.store.run.frames.length > LONG_RUN ? "story" : "frame";
   }
 
-  /** @param {RunView} run */
+  /** @param {OpenRun} run */
   showRun(run) {
     if (run.name !== this.run) this.open(this.leadsToFrame ? "frame" : this.shown === "over-time" ? this.shown : this.first);
     this.leadsToFrame = false;

@@ -1737,15 +1737,15 @@ export interface ElementFramesEvent {
   positions: Array<number>;
 }
 
-/** A map element over the run: positions of frames, and its effect on the error. */
+/** A map element over the run: numbers of frames, and its effect on the error. */
 export interface ElementRow {
   id: number;
   name: string;
   class_id: number;
   in_view: number;
-  seen: Array<number>;
-  used: Array<number>;
-  outlier: Array<number>;
+  seen: number;
+  used: number;
+  outlier: number;
   share: number | null;
   median_px: number | null;
   cost_m: number | null;
@@ -1814,25 +1814,27 @@ export interface ForgetWhatIfRequest {
   number: number;
 }
 
+/** Columns over all frames. Errors are null without a pose or ground truth. */
+export interface FrameColumns {
+  index: Array<number>;
+  status: Array<number>;
+  statuses: Array<string>;
+  texts: Array<string>;
+  reason: Array<number>;
+  diagnosis: Array<number>;
+  noticed: Array<number>;
+  overconfident: Array<number>;
+  error_m: Array<number | null>;
+  error_deg: Array<number | null>;
+  ms: Array<number>;
+}
+
 /** Another frame is shown. */
 export interface FrameEvent {
   type: "frame";
   reply_to: string | null;
   frame: FrameView;
   state: StateView;
-}
-
-/** A frame in lists. Errors are null without a pose or ground truth. */
-export interface FrameRow {
-  index: number;
-  status: "ok" | "ambiguous" | "cannot";
-  reason: string;
-  diagnosis: string;
-  overconfident: boolean;
-  noticed: string;
-  error_m: number | null;
-  error_deg: number | null;
-  ms: number;
 }
 
 /** A frame with all that the page draws of it. */
@@ -2278,6 +2280,15 @@ export interface PoseDifference {
   deg: number;
 }
 
+/** A run is read through before it opens: what is done, and the share of it that is done. */
+export interface ReadingEvent {
+  type: "reading";
+  reply_to: string | null;
+  name: string;
+  step: string;
+  share: number;
+}
+
 /** Build the map from the labels again and localize the run in it. */
 export interface RebuildMapRequest {
   type: "rebuild_map";
@@ -2378,7 +2389,7 @@ export interface RunView {
   camera: string;
   classes: Array<ElementClassView>;
   note: string;
-  frames: Array<FrameRow>;
+  frames: FrameColumns;
   median_m: number | null;
   ok_share: number;
 }
@@ -2624,12 +2635,13 @@ export interface StoryCause {
   parts: Array<number>;
 }
 
-/** The story of the run. It has no causes of the run as a whole while ``progress`` has text. */
+/** The story of the run, None if it is as before, and the progress of its diagnosis. It has no causes of the run as a whole while ``progress`` has text. */
 export interface StoryEvent {
   type: "story";
   reply_to: string | null;
   progress: string;
-  found: StoryView;
+  diagnosed: number;
+  found: StoryView | null;
 }
 
 /** A part of the route: map points (m), its frames and wrong frames, and the worst one. */
@@ -2871,6 +2883,7 @@ export interface Events {
   neighbours: NeighboursEvent;
   origins: OriginsEvent;
   over_time: OverTimeEvent;
+  reading: ReadingEvent;
   right_image: RightImageEvent;
   run: RunEvent;
   runs: RunsEvent;

@@ -17,7 +17,7 @@ import { ScatterPanel } from "./scatter.js";
 /** @typedef {import("/static/protocol").inspector.BaseFrameEvent} BaseFrameEvent */
 /** @typedef {import("/static/protocol").inspector.ComparisonView} ComparisonView */
 /** @typedef {import("/static/protocol").inspector.FrameView} FrameView */
-/** @typedef {import("/static/protocol").inspector.RunView} RunView */
+/** @typedef {import("../run_rows.js").OpenRun} OpenRun */
 /** @typedef {import("/static/protocol").inspector.StateView} StateView */
 /** @typedef {import("/static/keys.js").Command} Command */
 /** @typedef {import("../panel.js").AddressPart} AddressPart */
@@ -83,7 +83,7 @@ export class Compare {
     this.fillChoice(names);
   }
 
-  /** @param {RunView} run */
+  /** @param {OpenRun} run */
   showRun({ name }) {
     if (this.base && name !== this.other) this.wait(this.base);
     this.other = name;
