@@ -79,8 +79,8 @@ def plant_in_run(
 
 
 def _with_fix(given: Given, sigma_m: float, rng: np.random.Generator) -> Given:
-    position_m = given.T_camera_map.inverse().translation
-    position_m = position_m + [*(sigma_m * rng.standard_normal(2)), 0.0]
+    off_m = np.append(sigma_m * rng.standard_normal(2), 0.0)
+    position_m = given.T_camera_map.inverse().translation + off_m
     prior = replace(given.prior, position_m=position_m, horizontal_sigma_m=sigma_m)
     return replace(given, prior=prior)
 
