@@ -57,6 +57,8 @@ class Options:
     """Of each kind; 0 for runs alone."""
     runs: int = 40
     """Of each kind, of ten frames, and half as many long ones; 0 for frames alone."""
+    run_kinds: tuple[FaultKind, ...] = RUN_KINDS
+    """What is planted in runs, beside nothing."""
     fix_sigma_m: float | None = None
     """Accuracy of the position priors of runs: then they are the stated poses with this error."""
     first_seed: int = 1000
@@ -104,7 +106,7 @@ def print_runs(options: Options, count: int, runs: int) -> None:
     found: dict[GroundTruthLevel, Counts] = {
         argument: {} for argument in get_args(GroundTruthLevel)
     }
-    for fault in RUN_KINDS:
+    for fault in dict.fromkeys(("healthy", *options.run_kinds)):
         drives = []
         seed = options.first_seed
         while len(drives) < runs:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.planted_runs import plant_in_run
 
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Prior
@@ -14,7 +15,8 @@ from semviz_core.common.arrays import FloatArray
 from semviz_core.diagnosis.prior_offsets import prior_offsets, without_offset
 from semviz_core.diagnosis.reference import FrameReference
 from semviz_core.diagnosis.run import diagnose_run
-from semviz_core.research.evaluation.problems import CAMERA
+from semviz_core.research.evaluation.problems import CAMERA, DETECTOR
+from semviz_core.research.evaluation.roads import simulated_road
 
 NO_ELEMENTS = Elements3D.from_ends([], np.zeros((0, 3)), np.zeros((0, 3)), [])
 LEVEL = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -121,6 +123,19 @@ def test_a_run_without_ground_truth_names_it() -> None:
     assert (cause.kind, others) == ("misaligned map", [])
     assert "the map is shifted by that, or the priors are in another datum" in cause.sentence
     assert cause.frames == tuple(range(60))
+
+
+def test_priors_too_late_to_find_the_frames_are_told_by_frames_solved_far_around_them() -> None:
+    run = plant_in_run("time offset", 300, simulated_road(4), 40, fix_sigma_m=0.5)
+    assert run is not None
+    results = [localization for localization, _ in run.frames]
+    assert sum(result.status == "ok" for result in results) < 8
+    cause = diagnose_run([(result, None) for result in results], run.semantic_map, DETECTOR).causes[
+        0
+    ]
+    assert cause.kind == "time offset"
+    assert "1.0" in cause.sentence or "0.9" in cause.sentence
+    assert len(cause.frames) > 15
 
 
 def test_few_frames_say_nothing() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.diagnosis.assumptions import POSITION, solve_with_prior
 from semviz_core.diagnosis.cause_fits import (
     LEAST_NATS,
     LEAST_OFFSET_M,
@@ -22,7 +23,7 @@ from semviz_core.diagnosis.cause_fits import (
 )
 from semviz_core.diagnosis.common_causes import ELSEWHERE, OTHER_TIMES, SHIFTED
 from semviz_core.diagnosis.fault import FaultKind
-from semviz_core.diagnosis.reference import FrameReference
+from semviz_core.diagnosis.reference import FrameReference, ProgressCallback, no_progress
 
 NEEDED_FRAMES = 8
 MOST_STEP = 3
@@ -97,6 +98,25 @@ class PriorOffset:
     @property
     def size_m(self) -> float:
         return float(np.median(np.linalg.norm(self.offset_m, axis=1)))
+
+
+def solved_without_fixes(
+    cases: Sequence[FrameReference], watch: ProgressCallback = no_progress
+) -> list[FrameReference]:
+    """Return all frames, those that are not ok solved far around their priors.
+
+    Priors that are off by more than they state leave most frames without a pose.
+    """
+    watched = watch(cases, "solving with vague positions", len(cases))
+    return [case if case.localization.status == "ok" else _solved_widely(case) for case in watched]
+
+
+def _solved_widely(case: FrameReference) -> FrameReference:
+    if case.localization.prior is None:
+        return case
+    (vague,) = POSITION.without(case.prior)
+    found = replace(solve_with_prior(case, vague), prior=case.prior)
+    return replace(case, localization=found)
 
 
 def prior_offsets(cases: Sequence[FrameReference]) -> tuple[PriorOffset, ...]:

@@ -22,7 +22,12 @@ from semviz_core.diagnosis.common_causes import CALIBRATIONS
 from semviz_core.diagnosis.fault import EvidenceItem, Fault, FaultKind, GroundTruth, RunFault
 from semviz_core.diagnosis.frame_causes import with_sigma_scaled
 from semviz_core.diagnosis.odometry import odometry_fault
-from semviz_core.diagnosis.prior_offsets import prior_offsets, without_offset
+from semviz_core.diagnosis.prior_offsets import (
+    PriorOffset,
+    prior_offsets,
+    solved_without_fixes,
+    without_offset,
+)
 from semviz_core.diagnosis.reference import FrameReference, ProgressCallback, no_progress
 
 NEEDED_FRAMES = 3
@@ -124,6 +129,8 @@ MOVED_M = 10.0
 """A landmark further than this from an undetected element is another one."""
 OF_CALIBRATION: tuple[FaultKind, ...] = ("wrong detection sigma", "wrong gravity prior")
 """What a wrong calibration looks like in single frames."""
+MOSTLY_OK = 0.5
+"""Share of frames that are ok beyond which priors are not off by more than they state."""
 LEAST_SHARE = 0.5
 """Share of the frames that detect an element in which a fault must recur."""
 
@@ -184,7 +191,7 @@ def diagnose_run(
             causes.append(fault)
             compared = [found[0].fit.corrected(row) for row in range(len(compared))]
             cases = _replaced(cases, positions, compared)
-    if not any(case.truth is not None for case in cases) and (offsets := prior_offsets(cases)):
+    if offsets := _prior_offsets(cases, watch):
         cases = without_offset(cases, offsets[0])
         compared = [cases[position] for position in positions]
         causes.append(run_causes.prior_offset_fault(offsets, cases, watch))
@@ -199,6 +206,18 @@ def diagnose_run(
     recurring = () if calibration else _element_faults(compared, watch)
     elements = tuple(_at(fault, positions) for fault in recurring)
     return RunDiagnosis(calibration, elements, len(compared), tuple(causes))
+
+
+def _prior_offsets(
+    cases: Sequence[FrameReference], watch: ProgressCallback
+) -> tuple[PriorOffset, ...]:
+    """Return what all priors of a run without ground truth have in common."""
+    if any(case.truth is not None for case in cases):
+        return ()
+    ok = sum(case.localization.status == "ok" for case in cases)
+    if (found := prior_offsets(cases)) or ok > MOSTLY_OK * len(cases):
+        return found
+    return prior_offsets(solved_without_fixes(cases, watch))
 
 
 def _at(fault: RunFault, positions: Sequence[int]) -> RunFault:
