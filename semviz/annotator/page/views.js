@@ -1,5 +1,5 @@
 // @ts-check
-// The views of the page, as tabs in the top bar: images, tracks, poses, team, your drive.
+// The views of the page, as tabs in the top bar: images, filmstrip, tracks, poses, team, your drive.
 /** @import {Command, Keys} from "/static/keys.js" */
 /** @import {State} from "./state.js" */
 import { byId } from "/static/dom.js";
@@ -9,7 +9,7 @@ import { signature } from "/static/keys.js";
 /** A part of the page that is a view of its own.
  * @typedef {{entered?: () => void, left?: () => void}} Part */
 /** @type {View[]} */
-export const VIEWS = ["images", "tracks", "poses", "team", "drive"];
+export const VIEWS = ["images", "filmstrip", "tracks", "poses", "team", "drive"];
 
 /** Commands of the images that work in every view, by their group and default key. */
 const EVERYWHERE = new Set(["History", "General"]);
