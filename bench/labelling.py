@@ -229,9 +229,7 @@ def print_sum(outcomes: list[Outcome]) -> None:
     print(f"the first drawings and the frames' keys alone {least / labels:.3f}")
     sightings = [outcome.labeller.inputs_by_sighting() for outcome in outcomes]
     first, later = np.mean(sightings, axis=0)
-    print(
-        f"mean of the drives: a first sighting {first:.2f} (goal 2.5), a later one {later:.2f} (0.2)"
-    )
+    print(f"mean of the drives: a first sighting {first:.2f} (2.5), a later one {later:.2f} (0.2)")
     minutes = sum(work.seconds for work in works) / (labels / 2) * 1000 / 60
     print(f"1,000 stereo observations: {minutes:.1f} min (goal 20)")
     print_causes(spent, labels)

@@ -122,7 +122,9 @@ class Labeller:
         self.page.wait_for_function("() => !semviz.filmstrip.isSearching")
         strip = FilmstripHand(self, truths)
         with self.work.on(STRIP, frames[0]):
-            self.key("Control+Shift+Enter" if strip.judge() else "Control+Enter")
+            key = "Control+Shift+Enter" if strip.judge() else "Control+Enter"
+            while self.page.evaluate("semviz.state.view") == "filmstrip":  # more rows come
+                self.key(key)
         for frame, truth in truths.items():
             self.complete(frame, truth)
 

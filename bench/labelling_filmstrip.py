@@ -15,6 +15,12 @@ if TYPE_CHECKING:
     from labelling_driver import Labeller
 
 
+IS_IN_VIEW = """(node) => {
+    const [own, all] = [node, node.closest(".scroll")].map((one) => one.getBoundingClientRect());
+    return own.top >= all.top && own.bottom <= all.bottom;
+}"""
+
+
 @dataclass(frozen=True)
 class Cell:
     """What is proposed for an element in a frame, and the element that it is right for."""
@@ -146,7 +152,9 @@ class FilmstripHand:
     def canvas(self, cell: Cell, side: str) -> tuple[Any, Any]:
         """Where a crop is on the page, and what it shows."""
         node = self.labeller.page.locator(f'[data-cell="{cell.key}"] canvas[data-side="{side}"]')
-        node.scroll_into_view_if_needed()
+        if not node.evaluate(IS_IN_VIEW):
+            self.labeller.work.clicks += 1
+            node.scroll_into_view_if_needed()
         return node.bounding_box(), json.loads(node.get_attribute("data-crop") or "{}")
 
     @staticmethod

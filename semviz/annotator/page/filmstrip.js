@@ -254,6 +254,10 @@ export class Filmstrip {
       return;
     }
     if (!this.page.mayEdit()) return;
+    if (this.grid.scrollOn()) {
+      this.page.notify("There are more rows: look at them, then press again.");
+      return;
+    }
     const taken = this.cells.filter((cell) => this.isTaken(cell));
     const marks = taken.flatMap(({ frame, proposal }) => marksOf(proposal).map(([side, mark]) => drawnMark(frame, proposal, side, this.placeOf(mark))));
     const { goesTo } = this;

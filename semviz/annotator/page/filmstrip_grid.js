@@ -12,7 +12,7 @@ import { counted, shownScore } from "./values.js";
 import { RenderCache, badge } from "./widgets.js";
 
 const NAMES = 84, GAP = 6, HEADER = 26; // of the grid, CSS pixels
-const HEIGHT = { least: 76, most: 190 }; // of a row
+const HEIGHT = { least: 58, most: 190 }; // of a row
 const DRAG_FROM = 4; // CSS pixels; a shorter one is a click
 const HINTS = /** @type {const} */ ([
   [["Ctrl Enter"], "accept what is marked ✓"], [["Shift G"], "mark weak ones too"], [["Click"], "take, leave out"], [["Drag"], "correct"],
@@ -28,7 +28,16 @@ export class FilmstripGrid {
     this.shown = ""; // what the grid was built from
     /** @type {Map<string, () => void>} */
     this.redraws = new Map(); // of the cells, by their key
+    this.seen = 0; // how far down the rows were looked at, CSS pixels
     new ResizeObserver(() => this.show()).observe(this.body);
+    this.body.addEventListener("scroll", () => { this.seen = Math.max(this.seen, this.body.scrollTop + this.body.clientHeight); }, { passive: true });
+  }
+
+  /** Scrolls on if there are rows that were not in view yet. Returns whether there are. */
+  scrollOn() {
+    if (this.seen >= this.body.scrollHeight - GAP) return false;
+    this.body.scrollTop = this.seen - HEADER;
+    return true;
   }
 
   /** The elements of the strip, class by class, the nearest first. */
@@ -67,6 +76,7 @@ export class FilmstripGrid {
     const rows = this.rows;
     const wide = (this.body.clientWidth - NAMES - 20) / Math.max(frames.length, 1) - GAP;
     const tall = Math.min(HEIGHT.most, Math.max(HEIGHT.least, (this.body.clientHeight - HEADER) / Math.max(rows.length, 1) - GAP));
+    this.seen = this.body.clientHeight;
     this.redraws.clear();
     this.body.style.gridTemplateColumns = `${NAMES}px repeat(${frames.length}, minmax(0, 1fr))`;
     const cells = new Map(strip.cells.map((cell) => [cell.key, cell]));
@@ -94,7 +104,9 @@ export class FilmstripGrid {
     const crops = marksOf(cell.proposal).map(([side, mark]) => this.#crop(cell, side, mark, size));
     const node = el("div", { class: isSure ? "filmstrip-cell" : "filmstrip-cell weak", role: "gridcell", data: { cell: cell.key }, title: `${name} in frame ${cell.frame}${isSure ? "" : `: weak, score ${shownScore(score ?? 0)}`}` },
       ...crops.map(({ canvas }) => canvas), about);
-    node.addEventListener("pointerenter", () => strip.choose(cell.key)); // keys are for what is pointed at
+    node.addEventListener("pointermove", () => { // keys are for what is pointed at
+      if (strip.chosen !== cell.key) strip.choose(cell.key);
+    });
     this.redraws.set(cell.key, () => {
       const isTaken = strip.isTaken(cell);
       node.setAttribute("aria-selected", String(isTaken));
