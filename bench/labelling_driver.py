@@ -179,8 +179,7 @@ class Labeller:
         down; or accepted one by one, if that takes fewer keys.
         """
         for offer in self.offers(frame):
-            is_wrong = offer.is_confident and self.meant(offer, truth) is None
-            if is_wrong and not self.is_to_be_drawn(frame, truth, offer):
+            if offer.is_confident and self.meant(offer, truth) is None:
                 self.turn_down(frame, offer, "sure but wrong: " + why_wrong(offer, truth))
         weak, wrong = self.weak(frame, truth)
         found = self.found()
@@ -196,15 +195,6 @@ class Labeller:
                 with self.work.on("weak but right", frame, told(offer), element):
                     self.point_at(offer)
                     self.key(" ")
-
-    def is_to_be_drawn(self, frame: int, truth: Truth, offer: ProposalView) -> bool:
-        """Whether a wrong proposal goes by itself, as what it is meant for is drawn."""
-        return any(
-            truth.class_id[element] == offer.class_id
-            and is_about(offer, truth, element)
-            and len(self.lacking(frame, truth, element)) == len(truth.marks[element])
-            for element in truth.wanted
-        )
 
     def turn_down(self, frame: int, offer: ProposalView, cause: str) -> None:
         with self.work.on(cause, frame, told(offer)):
@@ -225,7 +215,7 @@ class Labeller:
             element = self.meant(offer, truth)
             if element is not None and self.lacking(frame, truth, element):
                 right[offer.id] = offer, element
-            elif offer.id in found and not self.is_to_be_drawn(frame, truth, offer):
+            elif offer.id in found:
                 wrong.append(offer)
         return right, wrong
 
@@ -297,10 +287,12 @@ class Labeller:
         is_line = bool(np.isfinite(marks[1]).all())
         if is_line and self.is_whole_shown(truth, element, side):
             self.work.clicks += 1
+            before = len(self.labels.in_frame(frame, side))
             self.page.mouse.down()
             self.page.mouse.up()
             self.saved()
-            return
+            if len(self.labels.in_frame(frame, side)) > before:
+                return  # else something else was under the pointer, and is selected now
         self.zoom_for(frame, truth, element, side)
         self.set_points_by_hand(frame, truth, element, side)
 

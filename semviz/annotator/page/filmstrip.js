@@ -59,12 +59,11 @@ export class Filmstrip {
    * @returns {Command[]}
    */
   commands() {
-    const view = "filmstrip", group = "Filmstrip", row = "Choose a mark";
+    const view = "filmstrip", group = "Filmstrip", row = "Choose a mark", accept = "Accept what is marked ✓; weak ones too";
     return [
-      { key: "F7", group: "General", title: "Show the filmstrip: accept a stretch of frames", words: "between interpolate key frames stretch", row: "Images, tracks, poses, team, your drive", run: () => this.page.views.open("filmstrip") },
-      { key: "e", shift: true, view: "", group: "Frames", title: "Key frames: label every fifth frame; again: every frame", words: "skip stride stretch", run: () => this.#toggleStride() },
-      { key: "Enter", ctrl: true, view, group, title: "Accept what is marked ✓; on to the next key frame", run: () => this.accept() },
-      { key: "Enter", ctrl: true, shift: true, view, group, title: "Accept weak ones too, but not what you left out", run: () => {
+      { key: "e", shift: true, view: "", group: "Frames", title: "Key frames: label every fifth; again: every", words: "skip stride stretch", run: () => this.#toggleStride() },
+      { key: "Enter", ctrl: true, view, group, title: "Accept what is marked ✓; on to the next key frame", row: accept, run: () => this.accept() },
+      { key: "Enter", ctrl: true, shift: true, view, group, title: "Accept weak ones too, but not what you left out", row: accept, run: () => {
         this.takesWeak = true;
         this.accept();
       } },

@@ -68,12 +68,13 @@ export class Views {
   commands() {
     const titles = /** @type {[string, View, string, string][]} */ ([
       ["F2", "images", "Show the images", ""],
+      ["F7", "filmstrip", "Show the filmstrip: accept a stretch of frames", "between interpolate key frames stretch"],
       ["F3", "tracks", "Show the tracks: every element in every frame", "matrix table bulk"],
       ["F4", "poses", "Show the poses against the images", "check trajectory"],
       ["F8", "team", "Show the team: who has what, the review queue", "people assign comments"],
       ["F9", "drive", "Show your drive: checks of the import", "calibration import trajectory"],
     ]);
-    return titles.map(([key, view, title, words]) => ({ key, group: "General", row: "Images, tracks, poses, team, your drive", title, words, run: () => this.open(view) }));
+    return titles.map(([key, view, title, words]) => ({ key, group: "General", row: "Views", title, words, run: () => this.open(view) }));
   }
 
   /** Marks the tab; called whenever the state of the page changes. */
