@@ -292,7 +292,8 @@ class Labeller:
             self.page.mouse.up()
             self.saved()
             if len(self.labels.in_frame(frame, side)) > before:
-                return  # else something else was under the pointer, and is selected now
+                return
+            self.key("Escape")  # something else was under the pointer, and is selected now
         self.zoom_for(frame, truth, element, side)
         self.set_points_by_hand(frame, truth, element, side)
 
