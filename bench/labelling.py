@@ -3,13 +3,15 @@
     python bench/labelling.py
     python bench/labelling.py --detector own        after 'semviz detect'
     python bench/labelling.py --detector simulated  one as good as the paper's
+    python bench/labelling.py --every-frame         without key frames and the filmstrip
     python bench/labelling.py --kitti /data/kitti   real images too: KITTI 02 with our own labels
 
 The script labels every pole and sign up to 40 m ahead that is visible in both images, by the
 street's truth. Its clicks have an error of 1.5 CSS pixels, at the zoom that shows the whole image,
 with snapping on. It accepts a proposal if both marks are right, rejects it otherwise, and draws
-elements without a proposal. The page counts inputs: a key, a click or a turn of the wheel is one, a
-drag two. At the end every label is compared with the truth.
+elements without a proposal. Every fifth frame is labelled first; the frames between follow in the
+filmstrip, where it leaves out or drags what is wrong. The page counts inputs: a key, a click or a
+turn of the wheel is one, a drag two. At the end every label is compared with the truth.
 
 Times are those of the keystroke-level model (Card, Moran & Newell 1980) with its own constants, for
 an average typist: a key 0.28 s, a click 0.2 s, pointing 1.1 s, and a thought of 1.35 s before each
@@ -28,7 +30,7 @@ import numpy as np
 from drives import KITTI_FRAMES, SIDES, Drive, KittiDrive, StreetDrive
 from labelling_driver import Labeller, Spent
 from labelling_truth import RIGHT_PX, errors_px, flags_right
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import Page, sync_playwright
 
 from semviz.annotator.server import Annotator
 from semviz.web.gateway import Gateway
@@ -40,6 +42,8 @@ from semviz_core.simulation.detector import SimulatedDetector
 
 CHROMIUM = ["--no-sandbox", "--enable-unsafe-swiftshader"]
 FRAMES = 8
+STRIDE = 5
+"""Of key frames, as the page has it."""
 PATIENCE_MS = 300_000
 """On a busy machine."""
 BY_HAND = """
@@ -87,22 +91,45 @@ class Outcome:
     """The page's own count."""
 
 
-def run_street(seed: int, folder: Path, browser: Any, detector: str, model: str | None) -> Outcome:
+def run_street(
+    seed: int, folder: Path, browser: Any, detector: str, model: str | None, stride: int
+) -> Outcome:
     workspace = Workspace.create_street(folder / f"street-{seed}", seed, range(FRAMES))
     if detector == "simulated":
         simulated_proposals(workspace, seed)
     elif detector == "own":
         which = [] if model is None else ["--model", model]
         subprocess.run(["semviz", "detect", str(workspace.path), *which], check=True)
-    return run(workspace, StreetDrive(workspace.street), FRAMES, browser, seed)
+    return run(workspace, StreetDrive(workspace.street), FRAMES, browser, seed, stride)
 
 
-def run_kitti(kitti: Path, frames: int, folder: Path, browser: Any) -> Outcome:
-    workspace = Workspace.create_kitti(folder / "kitti-02", kitti, "02", (2, 3), KITTI_FRAMES)
-    return run(workspace, KittiDrive.of(kitti), frames, browser, 0)
+def run_kitti(
+    kitti: Path, frames: int, folder: Path, browser: Any, hand: int, stride: int
+) -> Outcome:
+    path = folder / f"kitti-02-{hand}"
+    workspace = Workspace.create_kitti(path, kitti, "02", (2, 3), KITTI_FRAMES)
+    return run(workspace, KittiDrive.of(kitti), frames, browser, hand, stride)
 
 
-def run(workspace: Workspace, drive: Drive, frames: int, browser: Any, seed: int) -> Outcome:
+def label_all(page: Page, labeller: Labeller, frames: int, stride: int) -> None:
+    """Labels every frame, or key frames and the filmstrips between them."""
+    if stride == 1:
+        for frame in range(frames):
+            labeller.label(frame)
+        return
+    labeller.key("Shift+E")
+    before = -1
+    while before < frames - 1:
+        frame = min(before + stride, frames - 1) if before >= 0 else 0
+        labeller.label(frame)
+        if frame > before + 1:
+            labeller.label_between(range(before + 1, frame))
+        before = frame
+
+
+def run(
+    workspace: Workspace, drive: Drive, frames: int, browser: Any, seed: int, stride: int
+) -> Outcome:
     annotator = Annotator(workspace, author="script")
     try:
         with Gateway(annotator).running() as url:
@@ -113,8 +140,7 @@ def run(workspace: Workspace, drive: Drive, frames: int, browser: Any, seed: int
             page.wait_for_selector("#saved.saved")
             page.keyboard.press("f")  # the 3D pane: slow without a graphics card
             labeller = Labeller(page, annotator, drive, seed)
-            for frame in range(frames):
-                labeller.label(frame)
+            label_all(page, labeller, frames, stride)
             said = page.get_attribute("#effort", "title") or ""
             page.close()
         made = annotator.session.labels
@@ -168,18 +194,25 @@ def main() -> None:
     parser.add_argument("--model", help="of --detector own, as 'semviz detect' takes it")
     parser.add_argument("--each", action="store_true", help="what each input was for")
     parser.add_argument("--frames", type=int, default=len(KITTI_FRAMES), help="of KITTI 02")
+    parser.add_argument("--every-frame", action="store_true", help="without the filmstrip")
+    parser.add_argument("--hands", type=int, default=4, help="that label KITTI 02")
     parser.add_argument("--kitti", type=Path, help="folder of KITTI odometry: label 02 as well")
     arguments = parser.parse_args()
     outcomes: list[Outcome] = []
+    stride = 1 if arguments.every_frame else STRIDE
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as name:
         browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=CHROMIUM)
         folder = Path(name)
         for seed in arguments.seeds:
-            outcomes.append(run_street(seed, folder, browser, arguments.detector, arguments.model))
+            outcomes.append(
+                run_street(seed, folder, browser, arguments.detector, arguments.model, stride)
+            )
             print_outcome(outcomes[-1])
         if arguments.kitti is not None:
-            outcomes.append(run_kitti(arguments.kitti, arguments.frames, folder, browser))
-            print_outcome(outcomes[-1])
+            for hand in range(arguments.hands):
+                of = arguments.kitti, arguments.frames, folder, browser
+                outcomes.append(run_kitti(*of, hand, stride))
+                print_outcome(outcomes[-1])
     if arguments.each:
         for step in [step for outcome in outcomes for step in outcome.labeller.work.spent]:
             print(f"    frame {step.frame}: {step.inputs} for {step.cause}; {step.about}")
@@ -194,6 +227,9 @@ def print_sum(outcomes: list[Outcome]) -> None:
     inputs, least = sum(step.inputs for step in spent), sum(work.least for work in works)
     print(f"all: {inputs / labels:.3f} inputs per observation (goal 0.2); ", end="")
     print(f"the first drawings and the frames' keys alone {least / labels:.3f}")
+    sightings = [outcome.labeller.inputs_by_sighting() for outcome in outcomes]
+    first, later = np.mean(sightings, axis=0)
+    print(f"mean of the drives: a first sighting {first:.2f} (2.5), a later one {later:.2f} (0.2)")
     minutes = sum(work.seconds for work in works) / (labels / 2) * 1000 / 60
     print(f"1,000 stereo observations: {minutes:.1f} min (goal 20)")
     print_causes(spent, labels)

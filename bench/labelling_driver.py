@@ -1,12 +1,13 @@
 """The scripted annotator: it uses the labelling page in a browser as a person does."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
 from drives import SIDES, Drive
+from labelling_filmstrip import FilmstripHand
 from labelling_truth import ALONG_M, ALONG_PX, RIGHT_PX, Truth, is_about, meant, truth_of, why_wrong
 from playwright.sync_api import Page
 
@@ -16,8 +17,11 @@ from semviz_annotation.labels.labels import Labels, Observation
 from semviz_core.base.frame import Side
 
 TREMOR_CSS_PX = 1.5
+CLOSE_M, MARGIN_CSS_PX = 35.0, 8.0
 KEY_S, CLICK_S, POINT_S, THINK_S = 0.28, 0.2, 1.1, 1.35
-FRAME, FIRST = "a frame's key", "drawn first"
+FRAME, FIRST, STRIP = "a frame's key", "drawn first", "a filmstrip's key"
+STEPS = (FRAME, FIRST, STRIP)
+"""Causes of inputs that no better proposal saves."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,7 @@ class Work:
     @property
     def least(self) -> int:
         """Inputs if all went well but for the first drawing of each element: the floor."""
-        return sum(step.inputs for step in self.spent if step.cause in (FRAME, FIRST))
+        return sum(step.inputs for step in self.spent if step.cause in STEPS)
 
     @property
     def seconds(self) -> float:
@@ -85,6 +89,10 @@ class Labeller:
         self.taken: set[int] = set()
         """Elements whose proposals in this frame are weak, but right, like all that are weak: the
         frame's key takes them."""
+        self.zoomed_for: tuple[int, int] | None = None
+        """Frame and element that it zoomed in on, until it zooms out."""
+        self.unclear: set[int] = set()
+        """Elements whose drawing had to be corrected."""
         self.sightings: list[tuple[int, int]] = []
         """Frame and element of what was to be labelled, or was labelled all the same."""
 
@@ -96,7 +104,7 @@ class Labeller:
         self.settle()
         self.judge(frame, truth)
         missing = [element for element in truth.wanted if not self.is_here(frame, truth, element)]
-        for element in missing:
+        for element in self.in_turn(truth, missing):
             self.draw(frame, truth, element, "left")
         self.settle()
         if missing:
@@ -105,6 +113,49 @@ class Labeller:
             if self.lacking(frame, truth, element) and not self.is_offered(frame, truth, element):
                 self.draw(frame, truth, element, "right")
         self.finish(frame, truth)
+        self.count(frame, truth)
+
+    def label_between(self, frames: Sequence[int]) -> None:
+        """The filmstrip of the frames before the one that was labelled last; then what it lacks."""
+        self.work.thoughts += len(frames)
+        truths = {frame: truth_of(self.drive, frame) for frame in frames}
+        self.page.wait_for_function("() => !semviz.filmstrip.isSearching")
+        strip = FilmstripHand(self, truths)
+        with self.work.on(STRIP, frames[0]):
+            key = "Control+Shift+Enter" if strip.judge() else "Control+Enter"
+            while self.page.evaluate("semviz.state.view") == "filmstrip":  # more rows come
+                self.key(key)
+        for frame, truth in truths.items():
+            self.complete(frame, truth)
+
+    def complete(self, frame: int, truth: Truth) -> None:
+        """Goes to a frame of the strip if it still lacks something, and comes back."""
+        wanted = [element for element in truth.wanted if self.lacking(frame, truth, element)]
+        if wanted:
+            last = self.page.evaluate("semviz.state.frame")
+            with self.work.on("to a frame of the strip and back", frame):
+                self.go(frame)
+                self.settle()
+                self.judge(frame, truth)
+                for element in wanted:
+                    for side in SIDES:
+                        if side in self.lacking(frame, truth, element) and not self.is_offered(
+                            frame, truth, element
+                        ):
+                            self.draw(frame, truth, element, side)
+                            self.settle()
+                if any(self.lacking(frame, truth, element) for element in wanted):
+                    self.key("Shift+G" if self.taken else "Shift+Space")
+                self.go(last)
+        self.count(frame, truth)
+
+    def go(self, frame: int) -> None:
+        """A click on the strip of all frames."""
+        self.work.clicks += 1
+        self.page.locator(f'#strip [data-frame="{frame}"]').click()
+
+    def count(self, frame: int, truth: Truth) -> None:
+        """Notes what was labelled in a frame."""
         here = {
             mark
             for mark in truth.marks
@@ -187,21 +238,69 @@ class Labeller:
         self.correct(truth, element, side, new[0])
         self.labelled.add(element)
 
+    def zoom_for(self, frame: int, truth: Truth, element: int, side: Side) -> None:
+        """Zooms in on what is far away, or had to be corrected before: all that follows a drawing
+        keeps its error. What is near it is then drawn at the same zoom."""
+        if element not in self.unclear and truth.depth_m[element] < CLOSE_M:
+            return
+        if self.zoomed_for is None:
+            self.page.mouse.move(*self.on_screen(side, self.middle(truth, element, side)))
+            self.wheel(-1)
+            self.zoomed_for = frame, element
+
+    def in_turn(self, truth: Truth, elements: Sequence[int]) -> Iterator[int]:
+        """Class by class, and what is near the last one first: at one zoom."""
+        left = list(elements)
+        last = np.zeros(2)
+        while left:
+            of_class = [one for one in left if truth.class_id[one] == truth.class_id[left[0]]]
+            places = [self.middle(truth, element, "left") for element in of_class]
+            nearest = int(np.argmin([np.linalg.norm(place - last) for place in places]))
+            last = places[nearest]
+            left.remove(of_class[nearest])
+            yield of_class[nearest]
+
+    @staticmethod
+    def middle(truth: Truth, element: int, side: Side) -> np.ndarray:
+        return np.asarray(np.nanmean(truth.marks[element][side], axis=0))
+
+    def see(self, truth: Truth, element: int, side: Side) -> None:
+        """Zooms out if an element is not in view."""
+        if self.zoomed_for is None:
+            return
+        box = self.page.locator(f"#{side}-image canvas.marks").bounding_box()
+        assert box is not None
+        ends = np.array([end for end in truth.marks[element][side] if np.isfinite(end).all()])
+        places = np.array([self.on_screen(side, end) for end in ends]) - [box["x"], box["y"]]
+        if (places < MARGIN_CSS_PX).any() or (
+            places > np.array([box["width"], box["height"]]) - MARGIN_CSS_PX
+        ).any():
+            self.whole()
+
     def set_points(self, frame: int, truth: Truth, element: int, side: Side) -> None:
         """Class, peak and bottom; or class and middle."""
         if truth.class_id[element] != self.class_id:
             self.class_id = truth.class_id[element]
             self.key(str(self.class_id + 1))
+        self.see(truth, element, side)
         marks = truth.marks[element][side]
         is_line = bool(np.isfinite(marks[1]).all())
         if is_line and self.is_whole_shown(truth, element, side):
             self.work.clicks += 1
+            before = len(self.labels.in_frame(frame, side))
             self.page.mouse.down()
             self.page.mouse.up()
             self.saved()
-            return
+            if len(self.labels.in_frame(frame, side)) > before:
+                return
+            self.key("Escape")  # something else was under the pointer, and is selected now
+        self.zoom_for(frame, truth, element, side)
+        self.set_points_by_hand(frame, truth, element, side)
+
+    def set_points_by_hand(self, frame: int, truth: Truth, element: int, side: Side) -> None:
+        marks = truth.marks[element][side]
         self.click(side, marks[0])
-        if is_line:
+        if np.isfinite(marks[1]).all():
             peak_known, bottom_known = truth.known[element][side]
             keys = self.drive.tells_hidden
             with self.work.on("keys for hidden ends", frame, element=element):
@@ -263,15 +362,17 @@ class Labeller:
         if truth.is_right(element, side, row.anchor_px, row.end_px):
             return
         self.work.thoughts += 1
+        self.unclear.add(element)
         ends = [(row.anchor_px, marks[0])] + ([(row.end_px, marks[1])] if row.end_px else [])
         about = f"{truth.named(element)}, {side}"
         with self.work.on("drawings corrected", row.frame_index, about, element):
-            self.page.mouse.move(*self.on_screen(side, np.array(row.anchor_px)))
-            self.wheel(-1)
+            if self.zoomed_for is None:
+                self.page.mouse.move(*self.on_screen(side, np.array(row.anchor_px)))
+                self.wheel(-1)
+                self.zoomed_for = row.frame_index, element
             for drawn, true in ends:
                 if np.hypot(*np.subtract(true, drawn)) > RIGHT_PX / 2.0:
                     self.drag(side, np.array(drawn), true)
-            self.whole()
 
     def point_at(self, offer: ProposalView) -> None:
         """The pointer over a proposal, so that the keys are for it; where another is on top of it,
@@ -381,7 +482,10 @@ class Labeller:
 
     def whole(self) -> None:
         """Zooms out."""
-        self.key("0")
+        frame, element = self.zoomed_for or (-1, None)
+        self.zoomed_for = None
+        with self.work.on("zooming out", frame, element=element):
+            self.key("0")
         self.page.evaluate(
             "new Promise((done) => requestAnimationFrame(() => setTimeout(done, 50)))"
         )
@@ -396,6 +500,10 @@ class Labeller:
         self.page.mouse.move(*self.on_screen(side, end, self.hand), steps=4)
         self.page.mouse.up()
         self.saved()
+
+    def tremor(self) -> np.ndarray:
+        """How far a hand misses, CSS px."""
+        return self.hand.normal(0.0, TREMOR_CSS_PX, 2)
 
     def on_screen(
         self, side: Side, pixel: np.ndarray, hand: np.random.Generator | None = None
@@ -414,7 +522,9 @@ class Labeller:
         self.page.wait_for_function("() => semviz.state.pending.length === 0")
 
     def settle(self) -> None:
-        """Waits for the images, and until they were asked about everything that is proposed."""
+        """Zooms out, and waits until the images were asked about all that is proposed."""
+        if self.zoomed_for is not None:
+            self.whole()
         self.saved()
         self.page.wait_for_function(
             """() => {

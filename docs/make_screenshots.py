@@ -359,6 +359,20 @@ def take_tracks(page: Page) -> None:
         page.screenshot(path=IMAGES / "annotate-tracks.png")
 
 
+def take_filmstrip(page: Page) -> None:
+    """The frames between two key frames."""
+    with tempfile.TemporaryDirectory() as folder, annotating(page, folder, key_frames):
+        page.wait_for_selector("#saved.saved", timeout=LOADED_MS)
+        page.evaluate("semviz.go(5)")
+        page.keyboard.press("F7")
+        page.wait_for_function(
+            "() => semviz.filmstrip.frames.length && !semviz.filmstrip.isSearching",
+            timeout=LOADED_MS,
+        )
+        settle(page)
+        page.screenshot(path=IMAGES / "annotate-filmstrip.png")
+
+
 def take_team(page: Page) -> None:
     """The view Team: the review queue, and a frame that two people labelled blind."""
     with tempfile.TemporaryDirectory() as folder:
@@ -445,12 +459,19 @@ def tracked_labels(street: Street) -> Iterator[Edit]:
     yield ImportLabels(tuple(made.elements.values()), tuple(made.observations.values()))
 
 
+def key_frames(street: Street) -> Iterator[Edit]:
+    """Labels of every fifth frame."""
+    made = label_street(careful(street, 0.5, 1), FRAMES[::5], memory=len(FRAMES)).labels
+    yield ImportLabels(tuple(made.elements.values()), tuple(made.observations.values()))
+    yield ReviewFrame(0, "reviewed")
+
+
 WITHOUT_BROWSER = (draw_route, take_rerun)
 IN_BROWSER = (
     take_inspector, take_story, take_map_over_time, take_image, take_space, take_selected,
     take_solver, take_compare,
     take_forecast, take_what_if, take_label, take_report, take_detector_report, take_annotator,
-    take_review, take_tracks, take_team,
+    take_review, take_filmstrip, take_tracks, take_team,
 )  # fmt: skip
 
 

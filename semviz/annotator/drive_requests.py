@@ -7,7 +7,15 @@ from collections.abc import Callable
 from typing import Protocol
 
 from semviz.annotator import messages, pose_views
-from semviz.annotator.drive_view import DrivePair, drive_pair, drive_view
+from semviz.annotator.drive_view import (
+    DriveEvent,
+    DriveFrameEvent,
+    DrivePair,
+    ShowDriveFrameRequest,
+    ShowDriveRequest,
+    drive_pair,
+    drive_view,
+)
 from semviz.annotator.messages import PageEdit
 from semviz.annotator.pose_views import PoseWork, pose_marks
 from semviz.annotator.services import PageServices, SearchServices
@@ -29,18 +37,18 @@ class DriveRequests:
         self._shared = shared
         self._wanted: int | None = None
 
-    @protocol.handles(messages.ShowDriveRequest)
-    def _show_drive(self, request: messages.ShowDriveRequest) -> None:
+    @protocol.handles(ShowDriveRequest)
+    def _show_drive(self, request: ShowDriveRequest) -> None:
         session = self._shared.session
         with self._shared.lock:
             try:
                 view = drive_view(session.workspace, session.source)
             except SemvizError as error:
                 raise RefusedError("invalid", str(error)) from None
-        self._send(messages.DriveEvent(reply_to=request.id, drive=view))
+        self._send(DriveEvent(reply_to=request.id, drive=view))
 
-    @protocol.handles(messages.ShowDriveFrameRequest)
-    def _show_drive_frame(self, request: messages.ShowDriveFrameRequest) -> None:
+    @protocol.handles(ShowDriveFrameRequest)
+    def _show_drive_frame(self, request: ShowDriveFrameRequest) -> None:
         """Match the images in the background; the latest request wins."""
         if request.frame not in self._shared.session.frames:
             raise RefusedError("not_found", f"frame {request.frame} is not in this sequence")
@@ -54,7 +62,7 @@ class DriveRequests:
             pair = drive_pair(self._shared.session.source, index)
         except SemvizError as error:
             pair = DrivePair(frame=index, second=index, matches=[], edges=([], []), note=str(error))
-        self._send(messages.DriveFrameEvent(pair=pair))
+        self._send(DriveFrameEvent(pair=pair))
 
 
 class PoseServices(PageServices, Protocol):

@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 
+from semviz.web import protocol
 from semviz.web.protocol import Part
 from semviz.workspace.drive_check_file import (
     CHECKS,
@@ -94,6 +95,33 @@ class DrivePair(Part):
     edges: tuple[list[DriveEdge], list[DriveEdge]]
     note: str = ""
     """Why there are no matches."""
+
+
+class ShowDriveRequest(protocol.Request):
+    """Request the checks of the drive's import, and what to do."""
+
+    type: Literal["show_drive"] = "show_drive"
+
+
+class ShowDriveFrameRequest(protocol.Request):
+    """Request matches and edges of the images of a frame; a ``drive_frame`` event follows."""
+
+    type: Literal["show_drive_frame"] = "show_drive_frame"
+    frame: int
+
+
+class DriveEvent(protocol.Event):
+    """The checks of the drive's import, and what to do."""
+
+    type: Literal["drive"] = "drive"
+    drive: DriveView
+
+
+class DriveFrameEvent(protocol.Event):
+    """Matches and edges of the left image of a frame and its right one, or the next one."""
+
+    type: Literal["drive_frame"] = "drive_frame"
+    pair: DrivePair
 
 
 def drive_view(workspace: Workspace, source: Dataset) -> DriveView:

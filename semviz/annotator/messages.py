@@ -12,7 +12,13 @@ from semviz.annotator.draft import (
     LabelledFrameView,
     PagePixel,
 )
-from semviz.annotator.drive_view import DrivePair, DriveView
+from semviz.annotator.drive_view import (
+    DriveEvent,
+    DriveFrameEvent,
+    ShowDriveFrameRequest,
+    ShowDriveRequest,
+)
+from semviz.annotator.filmstrip_messages import FilmstripEvent, SearchFilmstripRequest
 from semviz.annotator.history import PastFrame
 from semviz.annotator.map_review import ReviewEntry, ReviewList
 from semviz.annotator.panes import SecondImage
@@ -207,19 +213,6 @@ class CloseReviewRequest(protocol.Request):
     type: Literal["close_review"] = "close_review"
 
 
-class ShowDriveRequest(protocol.Request):
-    """Request the checks of the drive's import, and what to do."""
-
-    type: Literal["show_drive"] = "show_drive"
-
-
-class ShowDriveFrameRequest(protocol.Request):
-    """Request matches and edges of the images of a frame; a ``drive_frame`` event follows."""
-
-    type: Literal["show_drive_frame"] = "show_drive_frame"
-    frame: int
-
-
 class BuildMapRequest(protocol.Request):
     """Build the map."""
 
@@ -253,6 +246,7 @@ AnnotatorRequest: TypeAlias = Annotated[
     | track_messages.ShowTrackRequest
     | track_messages.SearchTrackRequest
     | track_messages.PreviewReSnapRequest
+    | SearchFilmstripRequest
     | ShowDriveRequest
     | ShowDriveFrameRequest
     | pose_views.ShowPosesRequest
@@ -400,20 +394,6 @@ class ElementClickedEvent(protocol.Event):
     is_track: bool
 
 
-class DriveEvent(protocol.Event):
-    """The checks of the drive's import, and what to do."""
-
-    type: Literal["drive"] = "drive"
-    drive: DriveView
-
-
-class DriveFrameEvent(protocol.Event):
-    """Matches and edges of the left image of a frame and its right one, or the next one."""
-
-    type: Literal["drive_frame"] = "drive_frame"
-    pair: DrivePair
-
-
 AnnotatorEvent: TypeAlias = (
     protocol.HelloEvent
     | WorkspaceEvent
@@ -432,6 +412,7 @@ AnnotatorEvent: TypeAlias = (
     | track_messages.TrackEvent
     | track_messages.TrackProposalsEvent
     | track_messages.ReSnapEvent
+    | FilmstripEvent
     | people_view.PeopleEvent
     | blind_views.TeamEvent
     | blind_views.ComparedEvent

@@ -9,6 +9,7 @@ from semviz.annotator.association import SamePlaceError
 from semviz.annotator.blind_views import OpenShareRequest
 from semviz.annotator.draft import LabelledFrameView
 from semviz.annotator.drive_requests import DriveRequests, PoseRequests, PoseServices, PoseUndo
+from semviz.annotator.filmstrip_requests import FilmstripRequests
 from semviz.annotator.page_scene import PageScene, SceneServices
 from semviz.annotator.panes import SecondImage
 from semviz.annotator.people_view import PeopleEvent, PersonView
@@ -79,13 +80,16 @@ class AnnotatorPage:
         self._poses = PoseRequests(send, shared, self.author)
         self._drive = DriveRequests(send, shared)
         self._tracks = TrackRequests(send, shared)
+        self._filmstrip = FilmstripRequests(send, shared)
         self._team = TeamRequests(send, shared, self.author, person)
         self._frame = next(iter(self._session.frames))
         self._second: SecondImage | None = None
         """The wish for the second image."""
         self._scene = PageScene(session_id, send, shared)
         self._search_queued = threading.Event()
-        self._handle = HANDLERS.bound_to(self, self._poses, self._drive, self._tracks, self._team)
+        self._handle = HANDLERS.bound_to(
+            self, self._poses, self._drive, self._tracks, self._filmstrip, self._team
+        )
 
     @property
     def _session(self) -> LabelSession:
@@ -423,5 +427,6 @@ HANDLERS = protocol.Handlers(
     PoseRequests,
     DriveRequests,
     TrackRequests,
+    FilmstripRequests,
     TeamRequests,
 )

@@ -76,7 +76,7 @@ export function commands(state, images, tools, actions) {
     { key: "Delete", group: "Draw", title: "Delete this view of the element", run: edit.remove },
     { key: "Delete", shift: true, group: "Draw", title: "Delete the element in all frames", run: edit.removeAll },
 
-    ...proposalCommands(state, actions, () => step(1)),
+    ...proposalCommands(state, actions, () => actions.filmstrip.goOn()),
 
     { key: "Wheel", group: "View", title: "Zoom both images at the pointer" },
     { key: "Right drag", group: "View", title: "Pan; also middle button, or Alt" },

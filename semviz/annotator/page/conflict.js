@@ -12,7 +12,7 @@ import { differs, drawVersions } from "./two_versions.js";
 import { RenderCache, badge, header } from "./widgets.js";
 
 /** Where the panel is in each view. */
-const HOMES = { images: ".right", tracks: "#track-side", team: "#team-frame-panel", poses: "#poses .pose-side", drive: ".drive-side" };
+const HOMES = { images: ".right", filmstrip: "#filmstrip > .panel", tracks: "#track-side", team: "#team-frame-panel", poses: "#poses .pose-side", drive: ".drive-side" };
 const ANSWERS = ["Y", "Shift Y"];
 /** @type {Intl.DateTimeFormatOptions} */
 const WHEN = { hour: "2-digit", minute: "2-digit", second: "2-digit" };

@@ -18,6 +18,7 @@ import { Cursor } from "./cursor.js";
 import { Sketch } from "./drafts.js";
 import { Drive } from "./drive.js";
 import { Effort } from "./effort.js";
+import { Filmstrip } from "./filmstrip.js";
 import { watchLists } from "./focus.js";
 import { History } from "./history.js";
 import { Images } from "./images.js";
@@ -73,13 +74,14 @@ export class Page {
     this.second = new SecondChoice(this.state, this.keys, this);
     this.poses = new Poses(this.state, this.keys, this);
     this.drive = new Drive(this.state, this.keys, this);
+    this.filmstrip = new Filmstrip(this.state, this.keys, this);
     this.tracks = new Tracks(this.state, this.keys, this);
     this.conflict = new Conflict(this);
     this.people = new People(this.state, this);
     this.team = new Team(this.state, this.keys, this);
     /** @type {Views} */
-    this.views = new Views(this.state, this.keys, this, { tracks: this.tracks, poses: this.poses, team: this.team, drive: this.drive });
-    this.panels = new Panels(this.state, this.images, this.keys, this, [new Attributes(this.state, this), this.backdrop, this.past, this.history, this.light, this.review, this.conflict, this.tour, this.second, this.people, this.views, this.tracks, this.poses, this.team, this.drive]);
+    this.views = new Views(this.state, this.keys, this, { filmstrip: this.filmstrip, tracks: this.tracks, poses: this.poses, team: this.team, drive: this.drive });
+    this.panels = new Panels(this.state, this.images, this.keys, this, [new Attributes(this.state, this), this.backdrop, this.past, this.history, this.light, this.review, this.conflict, this.tour, this.second, this.people, this.views, this.filmstrip, this.tracks, this.poses, this.team, this.drive]);
     this.keys.onchange = () => this.state.set({ changedKeys: this.keys.changed });
     this.keys.listen(window);
     watchLists();
@@ -277,7 +279,7 @@ export class Page {
     const isFirst = !state.isReady;
     state.set({ known: workspace, received: { ...labels, frame: state.received?.frame ?? null } });
     const ofImages = this.views.ofImages(commands(state, this.images, this.tools, this));
-    this.keys.use([...ofImages, ...this.views.commands(), ...this.conflict.commands(), ...this.people.commands(), ...this.tracks.commands(), ...this.poses.commands(), ...this.team.commands(), ...this.drive.commands()]);
+    this.keys.use([...ofImages, ...this.views.commands(), ...this.conflict.commands(), ...this.people.commands(), ...this.filmstrip.commands(), ...this.tracks.commands(), ...this.poses.commands(), ...this.team.commands(), ...this.drive.commands()]);
     const outbox = (this.outbox ??= new Outbox(workspace.key, (entry) => this.#send(entry)));
     this.#showPending();
     this.panels.start();

@@ -79,8 +79,8 @@ export class Poses {
     };
     return [
       { key: "f", shift: true, group, title: "Refine these poses; Ctrl Enter applies", words: "turn shift", run: here(() => this.try("refine")) },
-      { key: "o", shift: true, group, title: "Leave these frames out; Ctrl Enter applies", run: here(() => this.try("leave out")) },
-      { key: "k", shift: true, group, title: "Keep these poses as they are; Ctrl Enter applies", run: here(() => this.try("keep")) },
+      { key: "o", shift: true, group, title: "Leave frames out; Ctrl Enter applies", words: "these", run: here(() => this.try("leave out")) },
+      { key: "k", shift: true, group, title: "Keep these poses; Ctrl Enter applies", words: "as they are", run: here(() => this.try("keep")) },
       { key: "Enter", ctrl: true, view, group, title: "Make the previewed choice", run: () => this.apply() },
       { key: " ", view, group, title: "Before and after in one place", run: () => this.#redraw({ inOnePlace: !this.inOnePlace }) },
       { key: ".", shift: true, view, group, row, title: "Next stretch", run: () => this.step(1) },

@@ -88,14 +88,7 @@ export function proposing(state, actions) {
         actions.submit({ kind: "reject tracks", track_ids: [proposal.id] });
         return true;
       }
-      const dismissals = marksOf(proposal).map(([, { id, frame, side }]) => ({
-        id,
-        frame_index: frame,
-        side,
-        why,
-        element_id: proposal.origin === "detector" ? null : proposal.id,
-      }));
-      actions.submit({ kind: "dismiss", dismissals });
+      actions.submit({ kind: "dismiss", dismissals: dismissals(proposal, why) });
       if (why === "rejected" && proposal.origin !== "detector") actions.select(proposal.id); // what is drawn next continues it
       return true;
     },
@@ -134,12 +127,22 @@ export function acceptedTracks(state, tracks) {
   };
 }
 
+/** Rejections of all marks of a proposal.
+ *
+ * @param {Proposal} proposal
+ * @param {"rejected" | "absent" | "occluded"} why
+ */
+export function dismissals(proposal, why) {
+  const element = proposal.origin === "detector" ? null : proposal.id;
+  return marksOf(proposal).map(([, { id, frame, side }]) => ({ id, frame_index: frame, side, why, element_id: element }));
+}
+
 /** The marks of a proposal with their sides.
  *
  * @param {Proposal} proposal
  * @returns {[Side, annotator.ProposalMark][]}
  */
-function marksOf({ marks }) {
+export function marksOf({ marks }) {
   return SIDES.flatMap((side) => {
     const mark = marks[side];
     return mark ? [/** @type {[Side, annotator.ProposalMark]} */ ([side, mark])] : [];
@@ -152,10 +155,10 @@ function marksOf({ marks }) {
  * @param {number} frame
  * @param {Proposal} proposal
  * @param {Side} side
- * @param {annotator.ProposalMark} mark
+ * @param {Pick<annotator.ProposalMark, "id" | "anchor" | "end" | "anchor_known" | "end_known">} mark
  * @returns {annotator.DrawnMark}
  */
-function drawnMark(frame, proposal, side, { id, anchor, end, anchor_known, end_known }) {
+export function drawnMark(frame, proposal, side, { id, anchor, end, anchor_known, end_known }) {
   const isNew = proposal.origin === "detector";
   return {
     observation_id: isNew ? id : uuid7(),

@@ -5,7 +5,7 @@
 import { find, isSettled, swapped, withPending } from "./pending.js";
 import { SIDES } from "./values.js";
 
-const LEAST_SCORE = 0.05; // of a proposal that was found in the image; below, it is where the element should be
+export const LEAST_SCORE = 0.05; // of a proposal that was found in the image; below, it is where the element should be
 
 /** The default of the aid `bright`. */
 export const PLAIN_LIGHT = { brightness: 1.7, contrast: 1.15 };
@@ -35,7 +35,7 @@ export class State {
     this.frame = null; // number of the frame on screen
     /** @type {annotator.SecondImage | null} */
     this.wish = null; // for another second image than the usual one; see second.js
-    /** @type {"images" | "tracks" | "poses" | "team" | "drive"} */
+    /** @type {"images" | "filmstrip" | "tracks" | "poses" | "team" | "drive"} */
     this.view = "images"; // the tab
     this.classId = 0; // for the next element
     /** @type {Selected | null} */

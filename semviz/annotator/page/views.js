@@ -1,5 +1,5 @@
 // @ts-check
-// The views of the page, as tabs in the top bar: images, tracks, poses, team, your drive.
+// The views of the page, as tabs in the top bar: images, filmstrip, tracks, poses, team, your drive.
 /** @import {Command, Keys} from "/static/keys.js" */
 /** @import {State} from "./state.js" */
 import { byId } from "/static/dom.js";
@@ -9,7 +9,7 @@ import { signature } from "/static/keys.js";
 /** A part of the page that is a view of its own.
  * @typedef {{entered?: () => void, left?: () => void}} Part */
 /** @type {View[]} */
-export const VIEWS = ["images", "tracks", "poses", "team", "drive"];
+export const VIEWS = ["images", "filmstrip", "tracks", "poses", "team", "drive"];
 
 /** Commands of the images that work in every view, by their group and default key. */
 const EVERYWHERE = new Set(["History", "General"]);
@@ -68,12 +68,13 @@ export class Views {
   commands() {
     const titles = /** @type {[string, View, string, string][]} */ ([
       ["F2", "images", "Show the images", ""],
+      ["F7", "filmstrip", "Show the filmstrip: accept a stretch of frames", "between interpolate key frames stretch"],
       ["F3", "tracks", "Show the tracks: every element in every frame", "matrix table bulk"],
       ["F4", "poses", "Show the poses against the images", "check trajectory"],
       ["F8", "team", "Show the team: who has what, the review queue", "people assign comments"],
       ["F9", "drive", "Show your drive: checks of the import", "calibration import trajectory"],
     ]);
-    return titles.map(([key, view, title, words]) => ({ key, group: "General", row: "Images, tracks, poses, team, your drive", title, words, run: () => this.open(view) }));
+    return titles.map(([key, view, title, words]) => ({ key, group: "General", row: "Views", title, words, run: () => this.open(view) }));
   }
 
   /** Marks the tab; called whenever the state of the page changes. */

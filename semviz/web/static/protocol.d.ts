@@ -519,6 +519,14 @@ export interface FigureView {
   value: string;
 }
 
+/** What is proposed in a frame, after its images were searched: of known elements, its own images alone. */
+export interface FilmstripEvent {
+  type: "filmstrip";
+  reply_to: string | null;
+  frame: number;
+  proposals: Array<ProposalView>;
+}
+
 /** Changed entries of the list of frames. */
 export interface FrameListEvent {
   type: "frame_list";
@@ -1031,6 +1039,13 @@ export interface SceneEvent {
   reply_to: string | null;
 }
 
+/** Search the images of some frames for all known elements; a ``filmstrip`` event follows for each. A later request replaces it. */
+export interface SearchFilmstripRequest {
+  type: "search_filmstrip";
+  id: string;
+  frames: Array<number>;
+}
+
 /** Search the images of a range of frames for an element; ``track_proposals`` follows. A later one replaces it. */
 export interface SearchTrackRequest {
   type: "search_track";
@@ -1447,6 +1462,7 @@ export interface Requests {
   open_share: OpenShareRequest;
   preview_draft: PreviewDraftRequest;
   preview_resnap: PreviewReSnapRequest;
+  search_filmstrip: SearchFilmstripRequest;
   search_track: SearchTrackRequest;
   set_backdrop: SetBackdropRequest;
   set_theme: SetThemeRequest;
@@ -1472,6 +1488,7 @@ export interface Events {
   edit_saved: EditSavedEvent;
   element_clicked: ElementClickedEvent;
   error: ConflictEvent | ErrorEvent | SamePlaceEvent;
+  filmstrip: FilmstripEvent;
   frame: LabelledFrameEvent;
   frame_list: FrameListEvent;
   hello: HelloEvent;

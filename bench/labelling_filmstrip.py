@@ -1,0 +1,163 @@
+"""The scripted annotator at the filmstrip: it drags or leaves out what is wrong in a cell."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from drives import SIDES
+from labelling_truth import RIGHT_PX, Truth, is_about, why_wrong
+
+from semviz.annotator.proposal_views import ProposalView
+
+if TYPE_CHECKING:
+    from labelling_driver import Labeller
+
+
+IS_IN_VIEW = """(node) => {
+    const [own, all] = [node, node.closest(".scroll")].map((one) => one.getBoundingClientRect());
+    return own.top >= all.top && own.bottom <= all.bottom;
+}"""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What is proposed for an element in a frame, and the element that it is right for."""
+
+    key: str
+    frame: int
+    offer: ProposalView
+    is_taken: bool
+    element: int | None
+
+
+class FilmstripHand:
+    """The hand of a ``Labeller`` on the filmstrip."""
+
+    def __init__(self, labeller: "Labeller", truths: Mapping[int, Truth]) -> None:
+        self.labeller = labeller
+        self.truths = truths
+
+    def judge(self) -> bool:
+        """Correct and leave out what is wrong; return whether the last key takes weak ones too.
+
+        They are taken together if fewer of them are wrong than right: by that key, or marked first
+        if some are to be left out.
+        """
+        cells, work = self.cells(), self.labeller.work
+        weak = [cell for cell in cells if not cell.is_taken]
+        right = [cell for cell in weak if cell.element is not None]
+        takes_weak = len(right) >= max(len(weak) - len(right), 1)
+        marks_first = takes_weak and any(self.is_useless(cell) for cell in weak)
+        if marks_first:
+            with work.on("strip: weak but right", cells[0].frame):
+                self.labeller.key("Shift+G")
+        for cell in cells:
+            is_accepted = cell.is_taken or takes_weak
+            if cell.element is None and (element := self.lacked(cell)) is not None:
+                self.correct(cell, element)
+            elif is_accepted == (cell.element is None):
+                cause = "strip: sure but wrong" if cell.is_taken else "strip: weak and wrong"
+                cause = cause if is_accepted else "strip: weak but right"
+                with work.on(
+                    cause,
+                    cell.frame,
+                    f"{cell.offer.name} {why_wrong(cell.offer, self.truths[cell.frame])}",
+                ):
+                    self.click(cell)
+        return takes_weak and not marks_first
+
+    def is_useless(self, cell: Cell) -> bool:
+        """Whether a proposal is right for nothing, and meant for nothing to be labelled."""
+        return cell.element is None and self.lacked(cell) is None
+
+    def cells(self) -> list[Cell]:
+        shown = self.labeller.page.evaluate(
+            "semviz.filmstrip.cells.map((cell) => [cell.key, cell.frame, cell.proposal,"
+            " semviz.filmstrip.isTaken(cell)])"
+        )
+        offers = [
+            (key, frame, ProposalView.model_validate(offer), taken)
+            for key, frame, offer, taken in shown
+        ]
+        return [
+            Cell(key, frame, offer, taken, self.labeller.meant(offer, self.truths[frame]))
+            for key, frame, offer, taken in offers
+        ]
+
+    def lacked(self, cell: Cell) -> int | None:
+        """The element that a wrong proposal is meant for, if that is to be labelled."""
+        truth = self.truths[cell.frame]
+        for element in truth.wanted:
+            alike = truth.class_id[element] == cell.offer.class_id
+            if (
+                alike
+                and is_about(cell.offer, truth, element)
+                and self.labeller.lacking(cell.frame, truth, element)
+            ):
+                return element
+        return None
+
+    def correct(self, cell: Cell, element: int) -> None:
+        """Drags what is off to where it belongs; the cell is taken then."""
+        truth = self.truths[cell.frame]
+        why = why_wrong(cell.offer, truth)
+        self.labeller.work.thoughts += 1
+        about = f"{cell.offer.name}: {why}"
+        with self.labeller.work.on("strip: corrected", cell.frame, about, element):
+            for side in SIDES:
+                mark = cell.offer.marks.get(side)
+                if mark is None or side not in truth.marks[element]:
+                    continue
+                if truth.is_right(element, side, mark.anchor, mark.end) and truth.are_ends_right(
+                    element, side, mark
+                ):
+                    continue
+                anchor, end = truth.marks[element][side]
+                places = [(np.array(mark.anchor), anchor)]
+                if mark.end is not None:
+                    places.append((np.array(mark.end), end))
+                self.drag(cell, side, places)
+
+    def drag(self, cell: Cell, side: str, places: list[tuple[np.ndarray, np.ndarray]]) -> None:
+        """Drags a sign, a pole as a whole, or its ends if one drag does not do."""
+        moves = [to - now for now, to in places]
+        common = np.mean(moves, axis=0)
+        if all(np.abs(move - common).max() < RIGHT_PX / 2.0 for move in moves):
+            now = np.mean([now for now, _ in places], axis=0)
+            self.one_drag(cell, side, now, now + common)
+            return
+        for now, to in places:
+            if np.linalg.norm(to - now) > RIGHT_PX / 2.0:
+                self.one_drag(cell, side, now, to)
+
+    def one_drag(self, cell: Cell, side: str, now: np.ndarray, to: np.ndarray) -> None:
+        hand = self.labeller
+        hand.work.clicks += 2
+        box, crop = self.canvas(cell, side)
+        start, stop = (np.array(self.on_crop(crop, point)) for point in (now, to))
+        stop = stop + hand.tremor()
+        mouse = hand.page.mouse
+        mouse.move(box["x"] + start[0], box["y"] + start[1])
+        mouse.down()
+        mouse.move(box["x"] + stop[0], box["y"] + stop[1], steps=4)
+        mouse.up()
+
+    def click(self, cell: Cell) -> None:
+        self.labeller.work.clicks += 1
+        box, _ = self.canvas(cell, next(side for side in SIDES if side in cell.offer.marks))
+        self.labeller.page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+
+    def canvas(self, cell: Cell, side: str) -> tuple[Any, Any]:
+        """Where a crop is on the page, and what it shows."""
+        node = self.labeller.page.locator(f'[data-cell="{cell.key}"] canvas[data-side="{side}"]')
+        if not node.evaluate(IS_IN_VIEW):
+            self.labeller.work.clicks += 1
+            node.scroll_into_view_if_needed()
+        return node.bounding_box(), json.loads(node.get_attribute("data-crop") or "{}")
+
+    @staticmethod
+    def on_crop(crop: Any, pixel: np.ndarray) -> np.ndarray:
+        offset = (pixel - np.array(crop["middle"])) * np.array(crop["zoom"])
+        return np.asarray(offset + np.array(crop["size"]) / 2.0)
