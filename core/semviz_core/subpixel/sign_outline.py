@@ -40,10 +40,7 @@ OFF_STEPS = 5
 """Largest distance of the click from the centre, in scaled pixels."""
 _NEAR = (0.8, 1.0)
 """Initial sizes relative to an approximately known size."""
-_EDGE = 12.0
-_PER_SIDE = 12
-
-
+_EDGE, _PER_SIDE = 12.0, 12
 WEIGHTS = np.array([0.0, 3.73, 4.1, -4.11, -1.0, 3.03])
 """Weights of evidence: constant; edges; weakest side; variation inside and outside; log size."""
 
@@ -147,8 +144,7 @@ def find_outlines(
         starts.append(OutlineStart(turned, click_px + off * scale, half, search))
         if len(chosen) == count:
             break
-    fitted = fit_from(image, starts)
-    return _with_outer(image, fitted, fitted)
+    return _with_outer(image, fit_from(image, starts))
 
 
 def fit_outlines(
@@ -167,7 +163,7 @@ def fit_outlines(
     ]
     fitted = fit_from(image, starts)
     best = {outline.shape: outline for outline in sorted(fitted, key=lambda each: each.score)}
-    return _with_outer(image, fitted, fitted if len(best) == 1 else list(best.values()))
+    return _with_outer(image, fitted, None if len(best) == 1 else list(best.values()))
 
 
 def edge_directions(
@@ -215,10 +211,10 @@ def fit_scores(maps: NDArray[np.float32], shape: str, aspect: float) -> FloatArr
 
 
 def _with_outer(
-    image: SampledImage, fitted: Sequence[Outline], inner: Sequence[Outline]
+    image: SampledImage, fitted: list[Outline], inner: list[Outline] | None = None
 ) -> list[Outline]:
-    """Return outlines, and those outside of the borders whose inner edges some are, best first."""
-    outer = fit_from(image, _outside_borders(image, inner))
+    """Return outlines and those around borders, best first; all may be inner edges, or ``inner``."""
+    outer = fit_from(image, _outside_borders(image, inner or fitted))
     return sorted([*fitted, *outer], key=lambda outline: -outline.score)
 
 
