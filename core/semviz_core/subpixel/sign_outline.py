@@ -213,7 +213,7 @@ def fit_scores(maps: NDArray[np.float32], shape: str, aspect: float) -> FloatArr
 def _with_outer(
     image: SampledImage, fitted: list[Outline], inner: list[Outline] | None = None
 ) -> list[Outline]:
-    """Return outlines and those around borders, best first; all may be inner edges, or ``inner``."""
+    """Return outlines and those outside, best first; all, or ``inner``, may be inner edges."""
     outer = fit_from(image, _outside_borders(image, inner or fitted))
     return sorted([*fitted, *outer], key=lambda outline: -outline.score)
 
