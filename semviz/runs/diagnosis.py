@@ -236,7 +236,8 @@ def noticed_faults(run: Run, record: FrameRecord) -> str:
         subject, off = _noticed(run.semantic_map, fault)
         of_kind.setdefault(fault.kind, {}).setdefault(subject, f"{subject} {off}".strip())
     return "; ".join(
-        f"{', '.join(subjects.values())} {kind}".strip() for kind, subjects in of_kind.items()
+        f"{kind}: {named}" if (named := ", ".join(filter(None, subjects.values()))) else kind
+        for kind, subjects in of_kind.items()
     )
 
 
