@@ -441,8 +441,7 @@ class Background(ABC, Generic[Value]):
             self._listeners.clear()
 
     def _tell_compiled(self, functions: int) -> None:
-        many = "1 function" if functions == 1 else f"{functions} functions"
-        self.report(f"compiling the solver, once on this machine: {many} so far")
+        self.report(f"compiling the solver, once on this machine: {functions} parts so far")
 
     def _notify(self) -> None:
         with self._lock:
