@@ -420,8 +420,12 @@ class Background(ABC, Generic[Value]):
         self._notify()
 
     def _complete(self) -> None:
+        from semviz_core.common.jit import count_compiled
+
+        self.report("reading frames")
         try:
-            self.value = self.work()
+            with count_compiled(self._tell_compiled):
+                self.value = self.work()
         except SemvizError as error:
             self.progress = str(error)
             self.met_damage = isinstance(error, DamagedRowError)
@@ -435,6 +439,9 @@ class Background(ABC, Generic[Value]):
         self._notify()
         with self._lock:
             self._listeners.clear()
+
+    def _tell_compiled(self, functions: int) -> None:
+        self.report(f"compiling the solver, once on this machine: {functions} parts so far")
 
     def _notify(self) -> None:
         with self._lock:

@@ -7,12 +7,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from semviz.inspector import messages
 from semviz.inspector.context import Background, Panel
-from semviz.inspector.element_card import Origins, provenance_of
+from semviz.inspector.element_card import Origins, mapped, provenance_of
 from semviz.inspector.views_run import LabelEditsEvent, LabelPageEvent, MapSavedEvent, RebuildView
 from semviz.runs.comparison import frame_change
 from semviz.runs.diagnosis import frame_diagnosis, implicated_elements
+from semviz.runs.frame_table import frame_table
+from semviz.runs.images import project_elements
 from semviz.runs.run import FrameRecord, Run
 from semviz.web.protocol import RefusedError, handles
 from semviz.what_if.solve import describe_sweep, free_path
@@ -21,10 +25,13 @@ from semviz.workspace.settings import login_name
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.edits import AddElements, AnyEdit, DecideElements, Link, NewElement
 from semviz_annotation.labels.proposal import Proposal
-from semviz_annotation.labels.rows import review_decision
+from semviz_annotation.labels.rows import Observation, review_decision
 from semviz_annotation.storage.store import ConflictError, EditBase, LogEnd, ReplacedLogError
 from semviz_core.base.map_file import save_map
 from semviz_core.common.errors import SemvizError
+
+OFF_PX, OFF_TIMES = 8.0, 3.0
+"""A mark is off if it is so far from its element, and so many times further than the median."""
 
 
 class Rebuild(Background[Path]):
@@ -90,20 +97,42 @@ class RunLabels:
         return LabelEdits(workspace.name, edits, len(self._undoable), EditBase.at(end))
 
     def place(self, element_id: int, frame: int) -> tuple[str, int]:
-        """Return the label element behind a map element whose observation is nearest to ``frame``,
-        by name, and the number of that observation's frame. A track is given by its id."""
+        """Return the label element behind a map element, by name, and the frame number of the
+        observation that is far off its place, or else of the one nearest to ``frame``. A track is
+        given by its id."""
         if track := self.origins.track(element_id):
             nearest = min(track, key=lambda row: abs(row.frame_index - frame))
             return self._label_ids_of_map(element_id)[0], nearest.frame_index
-        observations = [
-            (abs(row.frame_index - frame), row.frame_index, origin.element.number, origin.element)
-            for origin in self.origins.of(element_id)
-            for row in origin.used
-        ]
-        if not observations:
+        origins = self.origins.of(element_id)
+        marks = [(origin.element, row) for origin in origins for row in origin.used]
+        if not marks:
             raise SemvizError(self.origins.why_none(element_id))
-        _, index, number, element = min(observations, key=lambda row: row[:3])
-        return self.workspace.classes.element_name(element.class_id, number), index
+        off_px = np.array([self._off_px(element_id, row) for _, row in marks])
+        if off_px.max() > max(OFF_PX, OFF_TIMES * float(np.median(off_px))):
+            element, row = marks[int(off_px.argmax())]
+        else:
+            element, row = min(
+                marks, key=lambda mark: (abs(mark[1].frame_index - frame), mark[1].frame_index)
+            )
+        name = self.workspace.classes.element_name(element.class_id, element.number)
+        return name, row.frame_index
+
+    def _off_px(self, element_id: int, row: Observation) -> float:
+        """Return the distance of a mark from the map element in its image; 0 if unknown."""
+        position = frame_table(self._run).position_of(row.frame_index)
+        pose = None if position is None else self._run.frames[position].frame.T_map_camera
+        rig, element = self._run.info.rig, mapped(self._run, element_id)
+        if pose is None or not row.anchor_known:
+            return 0.0
+        T_camera_map, camera = pose.inverse(), rig.left
+        if row.side == "right":
+            if rig.right is None or rig.T_right_left is None:
+                return 0.0
+            T_camera_map, camera = rig.T_right_left @ T_camera_map, rig.right
+        projected = project_elements(element, T_camera_map, camera)
+        if not projected.shown[0]:
+            return 0.0
+        return float(np.linalg.norm(projected.anchor_px[0] - np.array(row.anchor_px)))
 
     def merge(self, element_ids: tuple[int, ...], base: EditBase | None = None) -> None:
         """Link the labels of map elements as one landmark.

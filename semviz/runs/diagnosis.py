@@ -14,6 +14,7 @@ from semviz.runs.metrics import Errors, difference, errors_of
 from semviz.runs.run import KNOWN_DIAGNOSES, TRACK, FrameRecord, Run, assumed_detector
 from semviz_core.base.classes import ClassSet
 from semviz_core.base.detector_model import DetectorModel
+from semviz_core.base.frame import Odometry
 from semviz_core.base.localization import Localization
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import IntArray
@@ -109,15 +110,15 @@ def run_diagnosis(
 ) -> RunDiagnosis:
     """Return the faults of camera and map that recur over the frames, or over some of them.
 
-    Frames at ``positions`` are held in memory, all at once.
+    The results of these are held in memory, all at once.
     """
     rows = range(len(run.frames)) if positions is None else positions
-    frames = [run.frames[position] for position in rows]
-    localized = [(frame.localization, truth_of(run, frame)) for frame in frames]
-    odometry = [
-        frame.odometry if row and rows[row - 1] == rows[row] - 1 else None
-        for row, frame in enumerate(frames)
-    ]
+    localized, odometry = [], list[Odometry | None]()
+    for row, position in enumerate(rows):
+        frame = run.frames[position]  # not kept, because of its images
+        localized.append((frame.localization, truth_of(run, frame)))
+        is_next = row > 0 and rows[row - 1] == position - 1
+        odometry.append(frame.odometry if is_next else None)
     found = diagnose_run(localized, run.semantic_map, detector_of(run), watch, odometry)
     return found if positions is None else found.at(positions)
 
@@ -235,7 +236,8 @@ def noticed_faults(run: Run, record: FrameRecord) -> str:
         subject, off = _noticed(run.semantic_map, fault)
         of_kind.setdefault(fault.kind, {}).setdefault(subject, f"{subject} {off}".strip())
     return "; ".join(
-        f"{', '.join(subjects.values())} {kind}".strip() for kind, subjects in of_kind.items()
+        f"{kind}: {named}" if (named := ", ".join(filter(None, subjects.values()))) else kind
+        for kind, subjects in of_kind.items()
     )
 
 

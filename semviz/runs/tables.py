@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import get_args
 
-from semviz.runs.diagnosis import STARTING_OR_LOST, diagnosis_name
+from semviz.runs.diagnosis import STARTING_OR_LOST, diagnosis_name, noticed_faults
 from semviz.runs.metrics import DIAGNOSED, Metrics
 from semviz.runs.run import FrameRecord, Run
 from semviz_core.base.pose import Pose
@@ -38,6 +38,7 @@ def frame_row(run: Run, record: FrameRecord) -> Row:
         "time_ms": sum(result.time_ms.values()),
         "reason": result.reason,
         "diagnosis": diagnosis_name(run, record),
+        "noticed": noticed_faults(run, record),
         **_pose_columns(result.T_camera_map),
     }
 

@@ -172,7 +172,7 @@ def test_what_a_healthy_frame_shows_is_named_with_its_element_and_by_how_much(
     ]
     name = run.semantic_map.name_of(pole)
     assert len(noticed) == 5
-    told = [re.fullmatch(rf"{name} \((\d+) px\) moved in the map", text) for text in noticed]
+    told = [re.fullmatch(rf"moved in the map: {name} \((\d+) px\)", text) for text in noticed]
     assert all(match and int(match[1]) > 25 for match in told), noticed
     columns = run_view("first", small_run()).frames
     assert {columns.texts[row] for row in columns.noticed} == {""}

@@ -131,6 +131,27 @@ def test_stopping_leaves_nothing(workspace: Workspace) -> None:
     assert sorted(path.parent.iterdir()) == before
 
 
+def test_the_way_from_an_element_leads_to_the_mark_that_is_off(workspace: Workspace) -> None:
+    """And without such a mark to the nearest one."""
+    path = workspace.run_path("search")
+    run = load_run(path)
+    with workspace.open_labels() as store:
+        labels = store.labels
+        element, rows = next(
+            (element, rows)
+            for element in labels.elements.values()
+            if element.number in run.semantic_map
+            and len(rows := [one for one in labels.of_element(element.id) if one.anchor_known]) > 4
+        )
+        first, last = (pick(row.frame_index for row in rows) for pick in (min, max))
+        name = f"{run.semantic_map.name_of(element.number)}"
+        assert RunLabels(run, path).place(element.number, first) == (name, first)
+        slipped = next(row for row in rows if row.frame_index == last)
+        anchor = (slipped.anchor_px[0] + 25.0, slipped.anchor_px[1])
+        store.apply(MoveObservation(slipped.id, anchor, slipped.end_px), "anna")
+    assert RunLabels(run, path).place(element.number, first) == (name, last)
+
+
 def test_edits_are_counted_done_and_taken_back(workspace: Workspace) -> None:
     path = workspace.run_path("search")
     mending = RunLabels(load_run(path), path)

@@ -53,7 +53,7 @@ export class Bar {
     const error = frame.error_m === null
       ? missing
       : `${fixed(frame.error_m, 2)} m · ${fixed(frame.error_deg, 2)}°`;
-    byId("numbers").textContent = frame.ms ? `${error} · ${fixed(frame.ms, 1)} ms` : error;
+    byId("numbers").replaceChildren(error, el("span", { class: "more", text: frame.ms ? ` · ${fixed(frame.ms, 1)} ms` : "" }));
   }
 
   /** @param {number} position */

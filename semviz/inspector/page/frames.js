@@ -255,7 +255,7 @@ export class FrameList {
     /** @type {(value: string, name: string, count: number) => HTMLOptionElement} */
     const option = (value, name, count) => el("option", { value, text: `${name}  ${count}` });
     const sorted = [...counts].sort((a, b) => b[1] - a[1] || a[0].localeCompare(b[0]));
-    this.choice.replaceChildren(option("", "Any diagnosis", rows.length), ...sorted.map(([name, count]) => option(name, name, count)));
+    this.choice.replaceChildren(el("option", { value: "", text: "Any diagnosis" }), ...sorted.map(([name, count]) => option(name, name, count)));
     this.choice.value = this.diagnosis ?? "";
     this.choice.classList.toggle("on", this.diagnosis !== null);
   }

@@ -197,9 +197,9 @@ export class ImagePanel {
     this.model = new ImageModel(this.frame, mode, this.size, this.rightShown);
     const absent = element === null ? "" : this.model.whyAbsent(element);
     const whatIf = this.whatIfElements.length ? "thick dashes: what if" : "";
-    const about = [absent, whatIf, this.missingReason, this.model.about].filter(Boolean).join(" · ");
-    byId("image-about").textContent = about;
-    byId("image-about").title = about;
+    const said = (/** @type {string} */ about) => [absent, whatIf, this.missingReason, about].filter(Boolean).join(" · ");
+    byId("image-about").textContent = said(this.model.about);
+    byId("image-about").title = said(this.model.details);
     this.surface.redraw();
   }
 

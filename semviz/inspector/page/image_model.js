@@ -164,13 +164,28 @@ export class ImageModel {
     return this.mode === "pairs" && truth !== null && this.isWrong(pair) ? `${name}, is ${this.frame.mapped[truth].name}` : name;
   }
 
-  /** One line that describes what is drawn, or why it is not. */
+  /** A short line that describes what is drawn, or why it is not. The pressed button names the pose. */
   get about() {
+    if (!this.isPossible || !this.hasVectors) return this.details;
+    const isNamed = this.mode === "estimate" || this.mode === "truth";
+    const faults = this.#countFaults();
+    return (isNamed && faults.length ? faults : [this.#title, ...faults]).join(", ");
+  }
+
+  /** All that there is to say about what is drawn. */
+  get details() {
     if (!this.isPossible) return MISSING[this.mode];
-    const title = this.mode === "pairs" ? this.#countPairs() : MODES[this.mode].title;
+    if (!this.hasVectors) return `detections are of the left image; ${this.#title}`;
+    return [this.#title, ...this.#countFaults(), this.mode === "pairs" ? "" : this.#countInView()].filter(Boolean).join(", ");
+  }
+
+  get #title() {
+    return this.mode === "pairs" ? this.#countPairs() : MODES[this.mode].title;
+  }
+
+  #countFaults() {
     const [missed, wrong] = [this.missedDetections.length, this.falsePositives.length];
-    const counts = [missed && `${missed} missed`, wrong && count(wrong, "false positive"), this.mode !== "pairs" && this.#countInView()].filter(Boolean);
-    return this.hasVectors ? [title, ...counts].join(", ") : `detections are of the left image; ${title}`;
+    return [missed ? `${missed} missed` : "", wrong ? count(wrong, "false positive") : ""].filter(Boolean);
   }
 
   #countPairs() {

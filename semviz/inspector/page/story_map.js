@@ -14,7 +14,7 @@ const PART_PX = 7;
 const MARGIN_PX = 70; // for names beside the route
 const NEAR_PX = 12; // a click hits a part up to this distance
 const NAMED = 5; // causes with a name in the map
-const NAME_PX = { width: 172, height: 32 };
+const NAME_PX = { width: 150, height: 32 };
 
 export class StoryMap {
   /** @type {StoryPart[]} */
@@ -169,7 +169,7 @@ function isInside([x, y], { left, top, width, height }) {
  * @param {Point} from
  * @param {Box} box
  */
-function drawName(context, { kind, where }, [x, y], { left, top, width, height }) {
+function drawName(context, { kind, frames }, [x, y], { left, top, width, height }) {
   const [middle, isAbove] = [left + width / 2, top < y];
   context.strokeStyle = cssColor("--dim");
   context.lineWidth = 1;
@@ -178,7 +178,7 @@ function drawName(context, { kind, where }, [x, y], { left, top, width, height }
   context.lineTo(middle, isAbove ? top + height : top);
   context.stroke();
   write(context, kind[0].toUpperCase() + kind.slice(1), middle, top + 10, "center", "600 12px", "--text");
-  write(context, where.length > 30 ? `${where.slice(0, 28)}…` : where, middle, top + 24, "center", "400 11px", "--dim");
+  write(context, frames.length === 1 ? "1 frame" : `${frames.length.toLocaleString("en")} frames`, middle, top + 24, "center", "400 11px", "--dim");
 }
 
 /**
