@@ -11,7 +11,7 @@ tried do not. What only rerun draws is left out, which takes most of the time; f
 run with DRAWN=1 in the environment.
 ``measure`` needs an idle machine, Chromium and the test extra. Memory is that of the process of
 ``semviz serve``: its own pages, without those of files. A picture counts one screen refresh after
-it was drawn. ``rerun`` measures what rerun's viewer and its Python reader need for the same file.
+it was drawn. ``rerun`` measures its command that reads the same file (``rerun rrd stats``).
 """
 
 import os
@@ -199,26 +199,11 @@ def _own_mb(process: psutil.Process) -> float:
 
 
 def measure_rerun(path: Path) -> None:
-    """Measure rerun's own readers on one run, each in a process of its own."""
-    for name, script in RERUN.items():
-        start = time.perf_counter()
-        command = [sys.executable, "-c", MEASURED.format(script=script, path=str(path))]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        said = done.stdout.strip() or done.stderr.strip().splitlines()[-1]
-        print(f"{path.name}: {name}: {time.perf_counter() - start:.1f} s, {said}")
-
-
-MEASURED = """
-import psutil
-before = psutil.Process().memory_info()
-path = {path!r}
-{script}
-after = psutil.Process().memory_info()
-print(round((after.rss - before.rss) / 1e6), "MB")
-"""
-RERUN = {
-    "rerun.recording.load_recording": "import rerun as rr; r = rr.recording.load_recording(path)",
-}
+    """Measure rerun's command that reads a whole file and counts what is in it."""
+    start = time.perf_counter()
+    command = [Path(sys.executable).parent / "rerun", "rrd", "stats", path]
+    subprocess.run(command, capture_output=True, check=True)
+    print(f"{path.name}: rerun rrd stats {time.perf_counter() - start:.1f} s")
 
 
 def main() -> None:
