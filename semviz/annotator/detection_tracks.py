@@ -58,8 +58,13 @@ class DetectionTrack:
     """By frame, left first; at most one in each image."""
     log_odds: float | None
     """Log-odds that it exists; None if the map is older."""
-    residual_px: float
-    """Distance (rms) of the detections from the projected element: across a pole."""
+    residuals_px: tuple[float, ...]
+    """Distance of each detection from the projected element: across a pole."""
+
+    @cached_property
+    def residual_px(self) -> float:
+        """Distance (rms) of the detections from the projected element."""
+        return float(np.sqrt(np.square(self.residuals_px).mean()))
 
     @cached_property
     def frames(self) -> tuple[int, ...]:
@@ -121,8 +126,8 @@ class DetectionTracks:
         residuals_px = _residuals_px(semantic_map.elements, rows, found, cameras)
         label_ids = _label_ids(semantic_map, rows, found)
         tracks = [
-            _track(semantic_map, row, ids, detections, residual_px)
-            for row, ids, detections, residual_px in zip(
+            _track(semantic_map, row, ids, detections, off_px)
+            for row, ids, detections, off_px in zip(
                 rows, label_ids, found, residuals_px, strict=True
             )
         ]
@@ -184,7 +189,7 @@ def _track(
     row: int,
     label_ids: tuple[str, ...],
     detections: tuple[Proposal, ...],
-    residual_px: float,
+    residuals_px: tuple[float, ...],
 ) -> DetectionTrack:
     map_id, class_id = (
         int(column[row]) for column in (semantic_map.elements.id, semantic_map.elements.class_id)
@@ -197,7 +202,7 @@ def _track(
         label_ids=label_ids,
         detections=detections,
         log_odds=semantic_map.provenance[row].log_odds,
-        residual_px=residual_px,
+        residuals_px=residuals_px,
     )
 
 
@@ -206,22 +211,21 @@ def _residuals_px(
     rows: Sequence[int],
     found: Sequence[tuple[Proposal, ...]],
     cameras: Cameras,
-) -> FloatArray:
-    """Return the residual (rms, px) of each track; all detections of an image at once."""
-    in_image: dict[tuple[int, Side], list[tuple[int, Proposal]]] = defaultdict(list)
+) -> list[tuple[float, ...]]:
+    """Return the residual (px) of each detection of each track; all of an image at once."""
+    in_image: dict[tuple[int, Side], list[tuple[int, int]]] = defaultdict(list)
     for n, detections in enumerate(found):
-        for row in detections:
-            in_image[row.frame_index, row.side].append((n, row))
-    squares, counts = np.zeros((2, len(rows)))
+        for k, row in enumerate(detections):
+            in_image[row.frame_index, row.side].append((n, k))
+    off_px = [np.zeros(len(detections)) for detections in found]
     for image, here in in_image.items():
-        numbers = np.array([n for n, _ in here])
-        at = np.array(rows)[numbers]
+        at = np.array([rows[n] for n, _ in here])
         ends_m = np.stack([elements.anchor_m[at], elements.end_m[at]], axis=1)
-        marks_px = both_ends_px([mark_of(row) for _, row in here])
+        marks_px = both_ends_px([mark_of(found[n][k]) for n, k in here])
         projected = cameras.view(*image).project(ends_m.reshape(-1, 3)).reshape(-1, 2, 2)
-        np.add.at(squares, numbers, _squares_px2(projected, marks_px))
-        np.add.at(counts, numbers, 1)
-    return np.asarray(np.sqrt(squares / np.maximum(counts, 1)))
+        for (n, k), square in zip(here, _squares_px2(projected, marks_px), strict=True):
+            off_px[n][k] = np.sqrt(square)
+    return [tuple(off.tolist()) for off in off_px]
 
 
 def _squares_px2(projected: FloatArray, marks_px: FloatArray) -> FloatArray:

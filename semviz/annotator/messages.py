@@ -244,6 +244,7 @@ AnnotatorRequest: TypeAlias = Annotated[
     | blind_views.OpenShareRequest
     | track_messages.ShowTracksRequest
     | track_messages.ShowTrackRequest
+    | track_messages.ShowOpenTrackRequest
     | track_messages.SearchTrackRequest
     | track_messages.PreviewReSnapRequest
     | SearchFilmstripRequest
@@ -410,6 +411,7 @@ AnnotatorEvent: TypeAlias = (
     | ReviewEvent
     | track_messages.TracksEvent
     | track_messages.TrackEvent
+    | track_messages.OpenTrackEvent
     | track_messages.TrackProposalsEvent
     | track_messages.ReSnapEvent
     | FilmstripEvent

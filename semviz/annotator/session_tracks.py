@@ -6,6 +6,8 @@ One thread at a time, except where a method says otherwise.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from semviz.annotator import track_details
 from semviz.annotator.detection_tracks import OpenTracks
 from semviz.annotator.image_worker import ImageWorker
@@ -62,6 +64,14 @@ class SessionTracks:
             mapped=dict(self.rows.positions.mapped(labels)),
         )
         return inspector, self._placed(element_id)
+
+    def open_track_views(self, track_id: str) -> list[track_details.TrackImage]:
+        """Return the detections of an open track; none if it is no longer open."""
+        tracks = self.open_tracks()
+        for place, track in tracks.named([track_id], self.store.labels):
+            element = tracks.tracks.elements[np.array([place])]
+            return track_details.detection_views(track, element, self.cameras)
+        return []
 
     def queries(self, element_id: str, index: int) -> list[ImageQuery]:
         """Return what to search the images of a frame for."""

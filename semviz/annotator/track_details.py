@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from semviz.annotator.detection_tracks import DetectionTrack
 from semviz.annotator.element_positions import ElementPositions, Position
 from semviz.annotator.frame_quality import residual_px
 from semviz.annotator.image_worker import ImageWorker
@@ -24,6 +25,7 @@ from semviz_annotation.labels.views import camera_of
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_annotation.storage.operations import LogEnd, Writer
 from semviz_annotation.storage.placement import is_accepted
+from semviz_core.base.elements import Elements3D
 from semviz_core.base.frame import Side
 
 SUSPECT_PX = 2.0
@@ -40,8 +42,8 @@ LEAST_PX, MOST_PX = 0.05, 4.0
 another edge."""
 
 
-class TrackLabel(Part):
-    """A label of the element, with what the card and the strip of views show of it."""
+class TrackImage(Part):
+    """A label or a detection of an element, with what the strip of views shows of it."""
 
     id: str
     frame: int
@@ -52,6 +54,11 @@ class TrackLabel(Part):
     """Residual; None without a position."""
     size_px: float
     """How large the element appears there; 0 without a position."""
+
+
+class TrackLabel(TrackImage):
+    """A label of the element, with what the card shows of it, too."""
+
     accepted: bool
     """Whether a machine placed it, and a person accepted it."""
 
@@ -181,6 +188,28 @@ class TrackInspector:
         away_m, nearest = min(offers, key=lambda offer: offer[0])
         ref = element_ref(nearest, self.labels.classes).model_dump()
         return MergeOffer(**ref, away_m=round(away_m, 2))
+
+
+def detection_views(
+    track: DetectionTrack, elements: Elements3D, cameras: Cameras
+) -> list[TrackImage]:
+    """Return the detections of an open track; ``elements`` holds that of the map alone."""
+    views = [cameras.view(row.frame_index, row.side) for row in track.detections]
+    depths_m = [float(view.depth_m(elements.anchor_m)[0]) for view in views]
+    return [
+        TrackImage(
+            id=row.id,
+            frame=row.frame_index,
+            side=row.side,
+            anchor=row.anchor_px,
+            end=row.end_px,
+            px=round(off_px, 2),
+            size_px=round(float(view.camera.K[0, 0]) / depth_m, 1) if depth_m > 0.0 else 0.0,
+        )
+        for row, view, depth_m, off_px in zip(
+            track.detections, views, depths_m, track.residuals_px, strict=True
+        )
+    ]
 
 
 def best_split(positions: ElementPositions, rows: Sequence[Observation]) -> TrackSplit | None:

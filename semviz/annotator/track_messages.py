@@ -51,6 +51,13 @@ class ShowTrackRequest(protocol.Request):
     element_id: Id
 
 
+class ShowOpenTrackRequest(protocol.Request):
+    """Request the detections of an open track."""
+
+    type: Literal["show_open_track"] = "show_open_track"
+    track_id: Id
+
+
 class SearchTrackRequest(protocol.Request):
     """Search the images of a range of frames for an element; ``track_proposals`` follows. A later
     one replaces it."""
@@ -85,6 +92,14 @@ class TrackEvent(protocol.Event):
 
     type: Literal["track"] = "track"
     track: track_details.TrackDetails
+
+
+class OpenTrackEvent(protocol.Event):
+    """The detections of an open track; none if it is no longer open."""
+
+    type: Literal["open_track"] = "open_track"
+    track_id: str
+    views: list[track_details.TrackImage]
 
 
 class TrackProposalsEvent(protocol.Event):

@@ -61,6 +61,16 @@ class TrackRequests:
         details = inspector.details(request.element_id, placed)
         self._send(track_messages.TrackEvent(reply_to=request.id, track=details))
 
+    @protocol.handles(track_messages.ShowOpenTrackRequest)
+    def _show_open_track(self, request: track_messages.ShowOpenTrackRequest) -> None:
+        with self._shared.lock:
+            views = self._shared.session.tracks.open_track_views(request.track_id)
+        self._send(
+            track_messages.OpenTrackEvent(
+                reply_to=request.id, track_id=request.track_id, views=views
+            )
+        )
+
     @protocol.handles(track_messages.SearchTrackRequest)
     def _search_track(self, request: track_messages.SearchTrackRequest) -> None:
         self._wanted = request.id

@@ -394,6 +394,19 @@ def test_a_track_that_is_off_its_detections_is_not_sure(
     assert replace(bad, detections=bad.detections[:1]).doubt == "1 frame only"
 
 
+def test_the_views_of_an_open_track_are_its_detections(session: LabelSession, found: Found) -> None:
+    rows = longest(found)
+    views = session.tracks.open_track_views(track_id(rows))
+    assert {(view.id, view.frame, view.side) for view in views} == {
+        (row.id, row.frame_index, row.side) for row in rows
+    }
+    assert max(view.px or 0.0 for view in views) < 0.01
+    sizes_px = [view.size_px for view in views if view.side == "left"]
+    assert sizes_px == sorted(sizes_px)  # the camera comes nearer
+    do(session, accept(rows))
+    assert session.tracks.open_track_views(track_id(rows)) == []
+
+
 def test_an_edit_that_comes_before_the_map_is_read_waits_for_it(
     workspace: Workspace, found: Found
 ) -> None:
@@ -509,6 +522,20 @@ def test_the_page_leads_from_track_to_track(
     driver.press_and_save("Shift+A")
     assert page.inner_text("#message").startswith(f"Accepted {count} tracks")
     assert len(served.labels.elements) == 2 + count
+
+
+@pytest.mark.browser
+def test_the_view_tracks_shows_an_open_track_in_its_images(
+    driver: LabelDriver, found: Found
+) -> None:
+    page, id_ = driver.page, track_id(found[FALSE])
+    page.keyboard.press("F3")
+    page.wait_for_selector("#tracks")
+    page.wait_for_function("(id) => semviz.tracks.table.rows.has(id)", arg=id_)
+    page.evaluate("(id) => semviz.tracks.choose(semviz.tracks.table.rows.get(id), 1)", id_)
+    page.wait_for_selector('#track-views-about:has-text("Views of P-900")')
+    assert page.locator("#track-views-strip .view").count() > 3
+    assert "px" in page.inner_text("#track-views-strip .view")
 
 
 @pytest.mark.browser

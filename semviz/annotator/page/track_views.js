@@ -18,6 +18,15 @@ export class TrackViews {
     this.verifying = ""; // the element whose views are being verified
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.timer = undefined;
+    /** @type {annotator.OpenTrackEvent | null} */
+    this.opened = null; // the detections of the open track that was chosen last
+    this.asked = "";
+    /** @type {ReturnType<typeof setTimeout> | undefined} */
+    this.askTimer = undefined;
+    tracks.page.socket.on("open_track", (event) => {
+      this.opened = event;
+      tracks.state.set({});
+    });
   }
 
   /** Views that this browser has verified, as `id@place`: one that was moved since wants another look. */
@@ -29,9 +38,15 @@ export class TrackViews {
     return `semviz.verified.${this.tracks.state.workspace.key}`;
   }
 
-  /** The labels of the chosen element, the one in which it is largest first. */
+  /** The detections of the chosen row, if it is an open track. */
+  get #detections() {
+    const { row } = this.tracks;
+    return row && row.number < 0 && this.opened?.track_id === row.id ? this.opened.views : [];
+  }
+
+  /** The labels or detections of the chosen row, the one in which it is largest first. */
   get #nearestFirst() {
-    return [...this.tracks.details?.labels ?? []].sort((a, b) => b.size_px - a.size_px || a.frame - b.frame);
+    return [...this.tracks.details?.labels ?? this.#detections].sort((a, b) => b.size_px - a.size_px || a.frame - b.frame);
   }
 
   /** How many views of the chosen element are verified. */
@@ -64,16 +79,18 @@ export class TrackViews {
   /** Redraws; called whenever the state of the page changes. */
   show() {
     const { tracks } = this, { details, row } = tracks;
+    this.#askDetections();
     const [frame] = tracks.frames;
     const moved = tracks.actions.pending?.moved;
-    const key = JSON.stringify([details?.id, details?.operation, details?.labels, frame, this.seenCount, moved ? [...moved] : null]);
+    const key = JSON.stringify([details?.id, details?.operation, details?.labels, this.#detections, frame, this.seenCount, moved ? [...moved] : null]);
     if (key === this.shown) return;
     this.shown = key;
     clearTimeout(this.timer);
     const labels = this.#nearestFirst;
     const seen = this.#seen;
-    fill(byId("track-views-about"), details && row ? [
-      el("b", { text: `Views of ${row.name}` }), el("span", { class: "dim", text: `nearest first; ${this.seenCount} of ${labels.length} verified` }),
+    const said = details ? `nearest first; ${this.seenCount} of ${labels.length} verified` : "nearest first";
+    fill(byId("track-views-about"), row && labels.length ? [
+      el("b", { text: `Views of ${row.name}` }), el("span", { class: "dim", text: said }),
     ] : [el("b", { text: "Views" }), el("span", { class: "dim", text: "of the chosen element" })]);
     const strip = byId("track-views-strip");
     const fits = Math.max(1, Math.floor(strip.clientWidth / (WIDTH + 8)));
@@ -84,8 +101,18 @@ export class TrackViews {
     this.timer = setTimeout(() => tiles.forEach(({ load }) => load()), REST_MS);
   }
 
+  /** Requests the detections of the chosen row, if it is another open track than before. */
+  #askDetections() {
+    const { row, page } = this.tracks;
+    const wanted = row && row.number < 0 ? row.id : "";
+    if (wanted === this.asked) return;
+    this.asked = wanted;
+    clearTimeout(this.askTimer);
+    if (wanted) this.askTimer = setTimeout(() => page.socket.send("show_open_track", { track_id: wanted }), REST_MS / 2);
+  }
+
   /**
-   * @param {annotator.TrackLabel} label
+   * @param {annotator.TrackImage} label
    * @param {boolean} isSeen
    * @param {boolean} isHere
    */
@@ -109,7 +136,7 @@ export class TrackViews {
   /**
    * @param {HTMLCanvasElement} canvas
    * @param {ImageBitmap} bitmap
-   * @param {annotator.TrackLabel} label
+   * @param {annotator.TrackImage} label
    * @param {number} ratio
    */
   #draw(canvas, bitmap, label, ratio) {
@@ -151,6 +178,6 @@ function mark(context, anchor, end, screen, color, dash) {
 
 /** A label as it was looked at.
  *
- * @param {annotator.TrackLabel} label
+ * @param {annotator.TrackImage} label
  */
 const signature = ({ id, anchor, end }) => `${id}@${[...anchor, ...end ?? []].map((value) => value.toFixed(2)).join()}`;

@@ -742,6 +742,14 @@ export interface OpenShareRequest {
   id: string;
 }
 
+/** The detections of an open track; none if it is no longer open. */
+export interface OpenTrackEvent {
+  type: "open_track";
+  reply_to: string | null;
+  track_id: string;
+  views: Array<TrackImage>;
+}
+
 /** One line of the history, and the frame it changed. */
 export interface OperationView {
   number: number;
@@ -1151,6 +1159,13 @@ export interface ShowDriveRequest {
   id: string;
 }
 
+/** Request the detections of an open track. */
+export interface ShowOpenTrackRequest {
+  type: "show_open_track";
+  id: string;
+  track_id: string;
+}
+
 /** Request a frame as it was after an operation. */
 export interface ShowPastFrameRequest {
   type: "show_past_frame";
@@ -1317,7 +1332,18 @@ export interface TrackFrame {
   right: Array<number>;
 }
 
-/** A label of the element, with what the card and the strip of views show of it. */
+/** A label or a detection of an element, with what the strip of views shows of it. */
+export interface TrackImage {
+  id: string;
+  frame: number;
+  side: "left" | "right";
+  anchor: [number, number];
+  end: [number, number] | null;
+  px: number | null;
+  size_px: number;
+}
+
+/** A label of the element, with what the card shows of it, too. */
 export interface TrackLabel {
   id: string;
   frame: number;
@@ -1469,6 +1495,7 @@ export interface Requests {
   show_compared: ShowComparedRequest;
   show_drive: ShowDriveRequest;
   show_drive_frame: ShowDriveFrameRequest;
+  show_open_track: ShowOpenTrackRequest;
   show_past_frame: ShowPastFrameRequest;
   show_pose_frame: ShowPoseFrameRequest;
   show_poses: ShowPosesRequest;
@@ -1494,6 +1521,7 @@ export interface Events {
   hello: HelloEvent;
   label_file: LabelFileEvent;
   named_states: NamedStatesEvent;
+  open_track: OpenTrackEvent;
   operations: OperationsEvent;
   past_frame: PastFrameEvent;
   people: PeopleEvent;
