@@ -229,10 +229,10 @@ class Labeller:
         again = element in self.labelled
         cause = "drawn again: " + self.why_again(frame, truth, element) if again else FIRST
         about = f"{truth.named(element)}, {side}"
-        before = {row.id for row in self.labels.in_frame(frame, side)}
+        before = set(self.labels.in_frame(frame, side))  # a drawing may also move a label
         with self.work.on(cause, frame, about, element):
             self.set_points(frame, truth, element, side)
-        new = [row for row in self.labels.in_frame(frame, side) if row.id not in before]
+        new = [row for row in self.labels.in_frame(frame, side) if row not in before]
         if not new:
             raise SystemExit(f"not drawn; the page says {self.page.text_content('#message')!r}")
         self.correct(truth, element, side, new[0])
@@ -243,8 +243,12 @@ class Labeller:
         keeps its error. What is near it is then drawn at the same zoom."""
         if element not in self.unclear and truth.depth_m[element] < CLOSE_M:
             return
+        ends = [end for end in truth.marks[element][side] if np.isfinite(end).all()]
+        middle = self.middle(truth, element, side)
+        if not self.is_in_view(side, np.array([middle + 3.0 * (end - middle) for end in ends])):
+            return  # it is longer than what the zoom shows
         if self.zoomed_for is None:
-            self.page.mouse.move(*self.on_screen(side, self.middle(truth, element, side)))
+            self.page.mouse.move(*self.on_screen(side, middle))
             self.wheel(-1)
             self.zoomed_for = frame, element
 
@@ -266,16 +270,16 @@ class Labeller:
 
     def see(self, truth: Truth, element: int, side: Side) -> None:
         """Zooms out if an element is not in view."""
-        if self.zoomed_for is None:
-            return
+        ends = [end for end in truth.marks[element][side] if np.isfinite(end).all()]
+        if self.zoomed_for is not None and not self.is_in_view(side, np.array(ends)):
+            self.whole()
+
+    def is_in_view(self, side: Side, pixels: np.ndarray) -> bool:
         box = self.page.locator(f"#{side}-image canvas.marks").bounding_box()
         assert box is not None
-        ends = np.array([end for end in truth.marks[element][side] if np.isfinite(end).all()])
-        places = np.array([self.on_screen(side, end) for end in ends]) - [box["x"], box["y"]]
-        if (places < MARGIN_CSS_PX).any() or (
-            places > np.array([box["width"], box["height"]]) - MARGIN_CSS_PX
-        ).any():
-            self.whole()
+        places = np.array([self.on_screen(side, pixel) for pixel in pixels]) - [box["x"], box["y"]]
+        most = np.array([box["width"], box["height"]]) - MARGIN_CSS_PX
+        return bool((places > MARGIN_CSS_PX).all() and (places < most).all())
 
     def set_points(self, frame: int, truth: Truth, element: int, side: Side) -> None:
         """Class, peak and bottom; or class and middle."""
@@ -366,13 +370,16 @@ class Labeller:
         ends = [(row.anchor_px, marks[0])] + ([(row.end_px, marks[1])] if row.end_px else [])
         about = f"{truth.named(element)}, {side}"
         with self.work.on("drawings corrected", row.frame_index, about, element):
-            if self.zoomed_for is None:
-                self.page.mouse.move(*self.on_screen(side, np.array(row.anchor_px)))
-                self.wheel(-1)
-                self.zoomed_for = row.frame_index, element
             for drawn, true in ends:
-                if np.hypot(*np.subtract(true, drawn)) > RIGHT_PX / 2.0:
-                    self.drag(side, np.array(drawn), true)
+                if np.hypot(*np.subtract(true, drawn)) <= RIGHT_PX / 2.0:
+                    continue
+                if not self.is_in_view(side, np.array([drawn, true])):
+                    self.whole()  # a near pole is longer than what the zoom shows
+                if self.zoomed_for is None:
+                    self.page.mouse.move(*self.on_screen(side, np.array(drawn)))
+                    self.wheel(-1)
+                    self.zoomed_for = row.frame_index, element
+                self.drag(side, np.array(drawn), true)
 
     def point_at(self, offer: ProposalView) -> None:
         """The pointer over a proposal, so that the keys are for it; where another is on top of it,

@@ -30,13 +30,18 @@ export class FilmstripGrid {
     this.redraws = new Map(); // of the cells, by their key
     this.seen = 0; // how far down the rows were looked at, CSS pixels
     new ResizeObserver(() => this.show()).observe(this.body);
-    this.body.addEventListener("scroll", () => { this.seen = Math.max(this.seen, this.body.scrollTop + this.body.clientHeight); }, { passive: true });
+    this.body.addEventListener("scroll", () => this.#saw(), { passive: true });
+  }
+
+  #saw() {
+    this.seen = Math.max(this.seen, this.body.scrollTop + this.body.clientHeight);
   }
 
   /** Scrolls on if there are rows that were not in view yet. Returns whether there are. */
   scrollOn() {
     if (this.seen >= this.body.scrollHeight - GAP) return false;
     this.body.scrollTop = this.seen - HEADER;
+    this.#saw(); // its event comes later
     return true;
   }
 
