@@ -1,7 +1,7 @@
 """The edits that accept marks as the page showed them, each like a drawing."""
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from semviz.annotator.messages import DrawnMark
@@ -17,6 +17,23 @@ def accepted(
     for mark in marks:
         by_element[mark.element_id].append(mark)
     return tuple(row for group in by_element.values() for row in _of_one(group, labels, add))
+
+
+def unlabelled(marks: Sequence[DrawnMark], labels: Labels) -> tuple[Sequence[DrawnMark], str]:
+    """Return marks without those whose element somebody labelled in that image meanwhile.
+
+    And a message for the user, if there are some. All of them, if nothing else is left.
+    """
+    free = [mark for mark in marks if not _is_labelled(mark, labels)]
+    if len(free) in (0, len(marks)):
+        return marks, ""
+    return free, f"{len(marks) - len(free)} of {len(marks)} were labelled meanwhile: theirs stay."
+
+
+def _is_labelled(mark: DrawnMark, labels: Labels) -> bool:
+    if mark.element_id not in labels.elements or mark.second is not None:
+        return False
+    return labels.find(mark.element_id, mark.frame_index, mark.side) is not None
 
 
 def _of_one(

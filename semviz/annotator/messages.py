@@ -86,7 +86,8 @@ class DrawEdit(DrawnMark):
 
 
 class AcceptEdit(protocol.Part):
-    """Accept proposals as the page showed them, all or none."""
+    """Accept proposals as the page showed them, all or none, but those that somebody else labelled
+    meanwhile."""
 
     kind: Literal["accept"]
     marks: list[DrawnMark] = Field(min_length=1)

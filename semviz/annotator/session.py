@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import lru_cache, partial
 
 from semviz.annotator import draft, messages, operation_texts, track_edits, track_messages, views
-from semviz.annotator.accepted_marks import accepted
+from semviz.annotator.accepted_marks import accepted, unlabelled
 from semviz.annotator.association import (
     DraftAssociation,
     LabelBelow,
@@ -242,7 +242,8 @@ class LabelSession:
             case track_messages.NoteEdit():
                 return self._saved(write(edit.note(author)))
             case messages.AcceptEdit():
-                return self._saved(write(edits.AddMany(self._accepted(edit.marks))))
+                marks, note = unlabelled(edit.marks, self.labels)
+                return replace(self._saved(write(edits.AddMany(self._accepted(marks)))), note=note)
             case messages.MergeFrameEdit():
                 return self._saved(write(self._merged(edit)))
             case (

@@ -345,6 +345,28 @@ def test_what_a_detector_found_is_proposed_until_it_is_labelled(tmp_path: Path) 
     session.close()
 
 
+def test_of_marks_accepted_together_what_others_labelled_meanwhile_is_left_out(
+    session: LabelSession,
+) -> None:
+    element_id = draw(session, pole(session, 0, "left"))
+
+    def accept(*frames: int) -> dict[str, object]:
+        drawn = [pole(session, frame, "left") for frame in frames]
+        fields = drawn[0].keys() - {"kind", "selected_id"}
+        known = {"element_id": element_id, "class_id": None}
+        marks = [{name: mark[name] for name in fields} | known for mark in drawn]
+        return {"kind": "accept", "marks": marks}
+
+    together = accept(1, 2, 3)
+    theirs = do(session, pole(session, 2, "left", element_id)).operation.number
+    accepted = do(session, together)
+    assert accepted.note == "1 of 3 were labelled meanwhile: theirs stay."
+    assert (accepted.added, accepted.operation.number) == (2, theirs + 1)
+    assert {row.frame_index for row in session.labels.of_element(element_id)} == {0, 1, 2, 3}
+    with pytest.raises(SemvizError, match="already labelled in this left image"):
+        do(session, accept(2))
+
+
 def test_labels_put_back_with_other_triangles_must_be_reopened(
     session: LabelSession, tmp_path: Path
 ) -> None:

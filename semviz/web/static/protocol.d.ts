@@ -19,7 +19,7 @@ export interface HelloEvent {
 }
 
 export namespace annotator {
-/** Accept proposals as the page showed them, all or none. */
+/** Accept proposals as the page showed them, all or none, but those that somebody else labelled meanwhile. */
 export interface AcceptEdit {
   kind: "accept";
   marks: Array<DrawnMark>;
