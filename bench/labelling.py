@@ -28,7 +28,8 @@ from typing import Any
 
 import numpy as np
 from drives import KITTI_FRAMES, SIDES, Drive, KittiDrive, StreetDrive
-from labelling_driver import Labeller, Spent
+from labelling_driver import Labeller
+from labelling_hand import Spent
 from labelling_truth import RIGHT_PX, errors_px, flags_right
 from playwright.sync_api import Page, sync_playwright
 
