@@ -415,6 +415,7 @@ LONG_QUEUE = """(count) => {
   const { team } = semviz;
   const entry = { state: "waiting", person: "mara", elements: 5, stands_out: "", notes: [] };
   const queue = Array.from({ length: count }, (_, frame) => ({ ...entry, frame, time: "" }));
-  team.known = { ...team.known, queue };
+  const known = { ...team.known, queue };
+  Object.defineProperty(team, "known", { get: () => known, set: () => {} }); // news stays out
   semviz.state.set({});
 }"""

@@ -124,7 +124,7 @@ def test_numbers_are_printed_and_measured(
 
 
 def test_the_inspector_has_words_for_every_frame(run: Run) -> None:
-    assert len(run_view("track", run).frames) == FRAMES  # views refuse NaN when they are made
+    assert len(run_view("track", run).frames.index) == FRAMES  # views refuse NaN when they are made
     views = [frame_view(run, position) for position in range(FRAMES)]
     titles = [view.card.title for view in views]
     assert titles[0] == "Starting or lost"
