@@ -6,6 +6,7 @@ from typing import Any
 from golden.canonical import digest
 from golden.files import FIXTURES, run_content, unpacked
 from semviz import load_run
+from semviz.runs.run import TABLE
 from semviz.runs.writer import RunWriter
 
 VERSION_2 = Path(__file__).parents[1] / "app" / "data" / "run-version-2.rrd.gz"
@@ -38,7 +39,8 @@ def _written_again(path: Path, again: Path) -> Path:
 def stored(path: Path) -> dict[str, list[str]]:
     """Return hashes of column names and types, and of values, by rerun's entity.
 
-    The layout of views, and ids and times that rerun writes itself, are left out.
+    The layout of views, and ids and times that rerun writes itself, are left out; so are the places
+    of frames in the file, which depend on how well these ids compress.
     """
     from rerun.chunk import RrdReader
 
@@ -47,6 +49,8 @@ def stored(path: Path) -> dict[str, list[str]]:
         batch = chunk.to_record_batch()
         for column, field in zip(batch.columns, batch.schema, strict=True):
             if field.name in ("log_time", "log_tick") or "RowId" in field.name:
+                continue
+            if chunk.entity_path == TABLE and field.name not in ("float64", "bool"):
                 continue
             values = column.to_pylist()
             column_of = (field.name, str(field.type)), repr(values)
