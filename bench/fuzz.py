@@ -30,11 +30,11 @@ from mutations import mutated
 
 NAMES = (
     "cvat", "labelme", "coco", "proposals", "proposals-parquet", "geojson", "lanelet2",
-    "opendrive", "csv", "map", "run", "run-values", "poses", "calibration", "image", "settings",
-    "model", "weights", "backdrop", "card", "motions", "detector-calibration", "segmentation",
-    "mask", "pole-map", "camera-toml", "camera-yaml", "camera-text", "drive-poses", "drive-records",
-    "drive-times", "colmap", "nerfstudio", "drive-file", "boxes", "box-file", "recording", "bag",
-    "measured", "pose-choices", "map-decisions", "matches",
+    "opendrive", "csv", "map", "run", "run-opened", "run-values", "poses", "calibration", "image",
+    "settings", "model", "weights", "backdrop", "card", "motions", "detector-calibration",
+    "segmentation", "mask", "pole-map", "camera-toml", "camera-yaml", "camera-text",
+    "drive-poses", "drive-records", "drive-times", "colmap", "nerfstudio", "drive-file", "boxes",
+    "box-file", "recording", "bag", "measured", "pose-choices", "map-decisions", "matches",
 )  # fmt: skip
 WORDS = (
     "polyline", "points", "box", "track", "image", "outside", "occluded", "group_id", "element",
@@ -180,11 +180,13 @@ def _corpus(name: str, corpus: Path) -> Path:
     corpus.mkdir(parents=True, exist_ok=True)
     for path in (Path(__file__).parent / "corpus" / name).glob("*"):
         (corpus / path.name).write_bytes(path.read_bytes())
-    if name in ("run", "recording", "bag"):
+    if name in ("run", "run-opened", "recording", "bag"):
         from fuzz_corpus import write_bags, write_recordings, write_run
 
-        writers = {"run": write_run, "recording": write_recordings, "bag": write_bags}
-        writers[name](corpus / "small.rrd" if name == "run" else corpus)
+        if name in ("run", "run-opened"):
+            write_run(corpus / "small.rrd")
+        else:
+            {"recording": write_recordings, "bag": write_bags}[name](corpus)
     return corpus
 
 

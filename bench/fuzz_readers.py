@@ -9,6 +9,7 @@ import json
 import shutil
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from map_files import small_map
 
 from semviz.runs import reader as run_reader
 from semviz.runs import run
+from semviz.runs.stored_run import open_run
 from semviz.workspace import foreign_results, map_decisions, pose_choices, settings
 from semviz_annotation.label_formats.coco import read_coco
 from semviz_annotation.label_formats.cvat import read_cvat
@@ -41,6 +43,7 @@ from semviz_core.base.map_file import load_map
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import MapFrame
 from semviz_core.base.weights import read_weights
+from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import decode_image
 from semviz_core.datasets.kitti import KittiSequence
 from semviz_core.datasets.trajectory import load_trajectory
@@ -114,6 +117,14 @@ def _run(path: Path) -> None:
     except OSError:
         return
     run_reader.assemble(path, rows, damaged)
+
+
+def _opened_run(path: Path) -> None:
+    """A whole file, whose frames are read one by one, with those that are damaged left out."""
+    opened = open_run(path)
+    for position in range(len(opened.frames)):
+        with suppress(SemvizError):
+            _ = opened.frames[position]
 
 
 def _run_values(path: Path) -> None:
@@ -280,6 +291,7 @@ READERS: Mapping[str, Reader] = {
     "csv": Reader("input.csv", _map("csv")),
     "map": Reader("input.parquet", load_map),
     "run": Reader("input.rrd", _run),
+    "run-opened": Reader("input.rrd", _opened_run),
     "run-values": Reader("input.json", _run_values),
     "poses": Reader("input.txt", _poses),
     "calibration": Reader("input.txt", _kitti),

@@ -30,6 +30,7 @@ _LAST = 4
 _RELEASED_BYTES = 1 << 26
 """Pages of a mapped file count as memory of the process until they are given back."""
 _BATCH_KIND = struct.pack("<Q", _BATCH)
+_LENGTH_BYTES = 8
 _COMPRESSION, _SIZE, _CONTENT = 2, 3, 5
 """Fields of the protobuf message of a record batch."""
 _LZ4 = 2
@@ -105,6 +106,8 @@ def last_message(path: Path, entity: str) -> Message | None:
         path.open("rb") as file,
         mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content,
     ):
+        if len(content) < _HEAD_BYTES + _TRAILER_BYTES:
+            return None
         stop, _ = _TRAILER.unpack_from(content, len(content) - _TRAILER_BYTES)
         stop -= _MESSAGE.size  # of the message whose content the trailer names
         for _ in range(_LAST):
@@ -121,7 +124,7 @@ def last_message(path: Path, entity: str) -> Message | None:
 
 def _start_of_message(content: mmap.mmap, stop: int) -> int | None:
     """Return the start of the record batch that ends at ``stop``: its length says so."""
-    at = min(stop, len(content))
+    at = max(min(stop, len(content)) - _LENGTH_BYTES, 0)  # a length follows the kind
     while (at := content.rfind(_BATCH_KIND, 0, at)) > 0:
         if _MESSAGE.unpack_from(content, at)[1] == stop - at - _MESSAGE.size:
             return at

@@ -166,6 +166,31 @@ def test_a_flipped_bit_never_gives_another_frame_in_silence(tmp_path: Path) -> N
     assert {"left out", "is damaged"} >= outcomes >= {"is damaged"}
 
 
+@pytest.mark.parametrize("cut", [*range(1, 60, 7), 5000, 60000])
+def test_a_file_whose_end_is_cut_off_opens_with_its_whole_frames(
+    path: Path, tmp_path: Path, cut: int
+) -> None:
+    content = path.read_bytes()
+    cut_off = tmp_path / "cut.rrd"
+    cut_off.write_bytes(content[:-cut])
+    opened = open_run(cut_off)
+    assert 0 < len(opened.frames) <= FRAMES
+    assert len(opened.frames) == FRAMES or cut > 60
+
+
+@pytest.mark.parametrize("size", [0, 11, 12, 43, 44, 2000])
+def test_the_mere_start_of_a_file_is_refused_in_one_line(
+    path: Path, tmp_path: Path, size: int
+) -> None:
+    start = tmp_path / "start.rrd"
+    start.write_bytes(path.read_bytes()[:size])
+    with pytest.raises(SemvizError):
+        open_run(start)
+    start.write_bytes(path.read_bytes()[:size] + b"\x02" + bytes(7) + b"\xff" * 40)
+    with pytest.raises(SemvizError):
+        open_run(start)
+
+
 @pytest.mark.parametrize("looked_at", [True, False])
 def test_the_page_leaves_out_a_frame_that_turns_out_to_be_damaged(
     tmp_path: Path, looked_at: bool
