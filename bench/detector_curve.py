@@ -54,6 +54,14 @@ class Judged(NamedTuple):
         return float(self.right[: last + 1].sum() / self.there), float(self.score[last])
 
 
+def labelled_drive(folder: str, kitti: Path) -> Workspace:
+    """Return a workspace of KITTI 02 in ``folder``, with all its labels."""
+    workspace = Workspace.create_kitti(Path(folder) / "drive", kitti, "02", (2, 3), range(20))
+    with workspace.open_labels() as store:
+        import_operations(LABELS, store)
+    return workspace
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("kitti", type=Path, help="folder that holds sequences and poses")
@@ -62,11 +70,7 @@ def main() -> None:
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     with tempfile.TemporaryDirectory() as folder:
-        workspace = Workspace.create_kitti(
-            Path(folder) / "drive", arguments.kitti, "02", (2, 3), range(20)
-        )
-        with workspace.open_labels() as store:
-            import_operations(LABELS, store)
+        workspace = labelled_drive(folder, arguments.kitti)
         images = labelled_images(workspace, None, SIDES, ignored=BOARDS)
         for model in arguments.models:
             detector = load_detector(model, least_score=LEAST_SCORE)

@@ -16,12 +16,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from detector_curve import LEAST_SCORE, judged
-from real_chain import BOARDS, LABELS, SIDES
+from detector_curve import LEAST_SCORE, judged, labelled_drive
+from real_chain import BOARDS, SIDES
 
 from semviz.research.detector_evaluation import EvaluationImage, labelled_images
-from semviz.workspace.workspace import Workspace
-from semviz_annotation.storage.backup import import_operations
 from semviz_core.base.elements import Elements2D
 from semviz_core.common.arrays import FloatArray
 from semviz_core.detection.detector import load_detector
@@ -45,11 +43,7 @@ def main() -> None:
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     with tempfile.TemporaryDirectory() as folder:
-        workspace = Workspace.create_kitti(
-            Path(folder) / "drive", arguments.kitti, "02", (2, 3), range(20)
-        )
-        with workspace.open_labels() as store:
-            import_operations(LABELS, store)
+        workspace = labelled_drive(folder, arguments.kitti)
         images = labelled_images(workspace, None, SIDES, ignored=BOARDS)
         detector = load_detector(arguments.model, least_score=LEAST_SCORE)
         found = [detector.detect(image.read()) for image in images]

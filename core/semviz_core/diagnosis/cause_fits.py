@@ -32,8 +32,7 @@ from semviz_core.diagnosis.reference import (
 NEEDED_PAIRS = 8
 LEAST_NATS, LEAST_NATS_WITHOUT_TRUTH = 20.0, 8.0
 """Log-likelihood that a cause must add, beyond its parameters and without its best element. Poses
-of the images themselves leave less to chance: without a wrong calibration, none of 60 runs of 100
-frames with other faults added 2."""
+of the images themselves absorb most of what is by chance."""
 RIVAL_NATS = 6.0
 """Causes closer than this cannot be told apart."""
 LEAST_OFFSET_M, LEAST_OFFSET_RAD = 0.1, float(np.deg2rad(0.2))

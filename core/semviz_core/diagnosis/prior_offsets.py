@@ -12,7 +12,6 @@ from functools import cached_property
 
 import numpy as np
 
-from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.diagnosis.assumptions import POSITION, solve_with_prior
 from semviz_core.diagnosis.cause_fits import (
@@ -152,8 +151,9 @@ def _moved(case: FrameReference, by_m: FloatArray) -> FrameReference:
 
 
 def _innovations(cases: Sequence[FrameReference]) -> _Innovations | None:
-    rows = np.array([row for row, case in enumerate(cases) if _counts(case)], dtype=np.int64)
-    poses = [_pose(cases[row]).inverse() for row in rows]
+    known = {row: case.reference for row, case in enumerate(cases) if _counts(case)}
+    poses = [pose.inverse() for pose in known.values() if pose is not None]
+    rows = np.array(list(known), dtype=np.int64)
     if len(rows) < NEEDED_FRAMES:
         return None
     center_m = np.array([pose.translation[:2] for pose in poses])
@@ -173,13 +173,7 @@ def _innovations(cases: Sequence[FrameReference]) -> _Innovations | None:
 
 
 def _counts(case: FrameReference) -> bool:
-    found = case.localization
-    return found.status == "ok" and found.prior is not None and found.T_camera_map is not None
-
-
-def _pose(case: FrameReference) -> Pose:
-    assert case.localization.T_camera_map is not None
-    return case.localization.T_camera_map
+    return case.localization.status == "ok" and case.localization.prior is not None
 
 
 @dataclass(frozen=True)
