@@ -35,6 +35,8 @@ LEAST_NATS, LEAST_NATS_WITHOUT_TRUTH = 20.0, 8.0
 of the images themselves absorb most of what is by chance."""
 RIVAL_NATS = 6.0
 """Causes closer than this cannot be told apart."""
+LEAST_HELPED = 0.5
+"""Share of the frames that a common cause must make likelier."""
 LEAST_OFFSET_M, LEAST_OFFSET_RAD = 0.1, float(np.deg2rad(0.2))
 """A smaller offset is within the accuracy of poses and maps."""
 MOST_CHI2 = 25.0
@@ -114,9 +116,13 @@ class RatedCause:
     """Log-likelihood above that without a cause, less half of p log n (BIC)."""
     nats_without_best: float
     """The same without the element that it helps most."""
+    helped: float
+    """Share of the frames that are likelier with it."""
 
     @property
     def is_fault(self) -> bool:
+        if self.helped < LEAST_HELPED:
+            return False
         with_truth = self.fit.frames.has_truth
         least = LEAST_NATS if with_truth else LEAST_NATS_WITHOUT_TRUTH
         return self.nats_without_best > least and _is_large(self.fit)
@@ -196,11 +202,15 @@ def _fit(cause: CommonCause, frames: FittedFrames, value: FloatArray) -> CauseFi
 
 def _rated(fit: CauseFit, nothing: CauseFit, scale: float, pairs: int) -> RatedCause:
     gains: dict[int, float] = defaultdict(float)
+    by_frame: list[float] = []
     for rows, before, after in zip(fit.rows, nothing.costs(scale), fit.costs(scale), strict=True):
+        by_frame.append(float((before - after).sum()))
         for element, gain in zip(rows.element.tolist(), (before - after).tolist(), strict=True):
             gains[element] += gain
     nats = sum(gains.values()) - 0.5 * fit.cause.parameters * float(np.log(pairs))
-    return RatedCause(fit, nats, nats - max(gains.values(), default=0.0))
+    changed = [gain for gain in by_frame if gain]
+    helped = sum(gain > 0.0 for gain in changed) / max(len(changed), 1)
+    return RatedCause(fit, nats, nats - max(gains.values(), default=0.0), helped)
 
 
 def _is_large(fit: CauseFit) -> bool:

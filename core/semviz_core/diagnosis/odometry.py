@@ -17,12 +17,16 @@ from semviz_core.diagnosis.assumptions import solve_with_prior
 from semviz_core.diagnosis.fault import EvidenceItem, RunFault
 from semviz_core.diagnosis.reference import FrameReference, is_healthy
 
-NEEDED_STRETCHES = 5
+NEEDED_STRETCHES = 3
+NEEDED_FOR_NOISE = 5
+"""Stretches from which the size of their errors is told."""
 MOST_STEPS = 10
 """Of a stretch; long ones show a drift better than the noise of poses hides it."""
 TRUE_POSE_SIGMA: FloatArray = np.repeat([0.02, float(np.deg2rad(0.02))], 3)
 """Accuracy of true poses over a stretch: metres, then radians."""
-LEAST_NATS = 12.0
+LEAST_NATS, LEAST_NATS_WITHOUT_BEST = 12.0, 6.0
+"""Log-likelihood that a drift must add, in all and without the stretch that it helps most: one
+wrong pose is no drift."""
 LEAST_SIGMAS = 1.0
 """Smallest drift that is a fault, in stated sigmas of one step."""
 LEAST_NOISE = 3.0
@@ -69,7 +73,7 @@ def odometry_fault(
         return None
     drift = _drift(stretches)
     noise = float(np.sqrt(np.median([stretch.chi2 for stretch in stretches]) / MEDIAN_CHI2))
-    if drift is None and noise < LEAST_NOISE:
+    if drift is None and (noise < LEAST_NOISE or len(stretches) < NEEDED_FOR_NOISE):
         return None
     sentence, evidence = drift or (
         f"its errors are {noise:.1f} times larger than it states",
@@ -90,11 +94,14 @@ def _drift(stretches: Sequence[_Stretch]) -> tuple[str, EvidenceItem] | None:
     best: tuple[float, str, EvidenceItem] | None = None
     for k, (name, unit, factor) in enumerate(DRIFTS):
         rows = [_whitened(stretch, k) for stretch in stretches]
-        A, b = np.concatenate([a for a, _ in rows]), np.concatenate([b for _, b in rows])
-        value = float(A @ b / max(float(A @ A), 1e-12))
-        nats = 0.5 * float((b**2).sum() - ((b - A * value) ** 2).sum())
+        A, b = np.array([a for a, _ in rows]), np.array([b for _, b in rows])
+        value = float((A * b).sum() / max(float((A**2).sum()), 1e-12))
+        gains = 0.5 * (b**2 - (b - A * value) ** 2).sum(axis=1)
+        nats = float(gains.sum())
         step_sigma = float(np.median([stretch.step_sigmas[k] for stretch in stretches]))
         if nats < LEAST_NATS or abs(value) < LEAST_SIGMAS * step_sigma:
+            continue
+        if nats - gains.max() < LEAST_NATS_WITHOUT_BEST:
             continue
         if best is None or nats > best[0]:
             item = EvidenceItem(name, value * factor, unit)
@@ -120,7 +127,7 @@ def _stretches(
     cases: Sequence[FrameReference], odometry: Sequence[Odometry | None]
 ) -> list[_Stretch]:
     """Return stretches one after the other, between frames with a pose of their own."""
-    steps = int(np.clip((len(cases) - 1) // (2 * NEEDED_STRETCHES), 1, MOST_STEPS))
+    steps = int(np.clip((len(cases) - 1) // (2 * NEEDED_FOR_NOISE), 1, MOST_STEPS))
     stretches: list[_Stretch] = []
     start: tuple[int, Pose, FloatArray] | None = None
     motion: list[Odometry] = []

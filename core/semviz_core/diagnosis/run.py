@@ -16,6 +16,7 @@ from semviz_core.base.localization import Localization
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.diagnosis import run_causes
+from semviz_core.diagnosis.carried_poses import with_carried_poses
 from semviz_core.diagnosis.cause_fits import common_cause
 from semviz_core.diagnosis.checks import find_faults
 from semviz_core.diagnosis.common_causes import CALIBRATIONS
@@ -131,6 +132,8 @@ OF_CALIBRATION: tuple[FaultKind, ...] = ("wrong detection sigma", "wrong gravity
 """What a wrong calibration looks like in single frames."""
 MOSTLY_OK = 0.5
 """Share of frames that are ok beyond which priors are not off by more than they state."""
+STRAY_SHARE = 0.2
+"""Share of the frames with an element in view below which other things are detected there."""
 LEAST_SHARE = 0.5
 """Share of the frames that detect an element in which a fault must recur."""
 
@@ -174,11 +177,7 @@ def diagnose_run(
         FrameReference.of(localization, semantic_map, truth, detector)
         for localization, truth in frames
     ]
-    positions = [
-        position
-        for position, case in enumerate(cases)
-        if case.truth is not None or case.localization.status == "ok"
-    ]
+    positions = _with_pose(cases)
     compared = [cases[position] for position in positions]
     calibration: RunFault | None = None
     found = common_cause(compared, watch)
@@ -200,12 +199,26 @@ def diagnose_run(
     causes += [] if moved is None else [moved]
     if calibration is not None:  # it explains large residuals, and a camera that is rolled
         causes = [cause for cause in causes if cause.kind not in OF_CALIBRATION]
+    blind = all(case.truth is None for case in cases)
+    if odometry is not None and blind and not causes and calibration is None:
+        cases = with_carried_poses(cases, odometry)
+        positions = _with_pose(cases)
+        compared = [cases[position] for position in positions]
     for cause in causes:
         if cause.kind == "wrong detection sigma":
             compared = [with_sigma_scaled(case, cause.evidence[1].value) for case in compared]
     recurring = () if calibration else _element_faults(compared, watch)
     elements = tuple(_at(fault, positions) for fault in recurring)
     return RunDiagnosis(calibration, elements, len(compared), tuple(causes))
+
+
+def _with_pose(cases: Sequence[FrameReference]) -> list[int]:
+    """Return the positions of frames with a pose to compare with the map."""
+    return [
+        position
+        for position, case in enumerate(cases)
+        if case.truth is not None or case.localization.status == "ok"
+    ]
 
 
 def _prior_offsets(
@@ -335,7 +348,7 @@ def _unmatched_landmark(
 ) -> RunFault:
     """Return the fault of a landmark where rays meet.
 
-    A near element that is never detected is the same landmark, moved; else it is missing.
+    A near element that is seldom detected is the same landmark, moved; else it is missing.
     """
     frames, first = np.unique(rays.frame[point.rays], return_index=True)
     rows = rays.row[point.rays[first]]
@@ -347,7 +360,7 @@ def _unmatched_landmark(
         for j in np.flatnonzero((away_m < MOVED_M) & (case.nearby.class_id == class_id)):
             nearby_m[int(case.nearby.id[j])] = float(away_m[j])
     expected = {
-        id: away for id, away in nearby_m.items() if id not in detected and _expected(cases, id)
+        id: away for id, away in nearby_m.items() if _is_absent(cases, id, detected.get(id, 0))
     }
     evidence = EvidenceItem("frames", len(frames))
     where = f"at {point.at_m[0]:.1f}, {point.at_m[1]:.1f}"
@@ -363,14 +376,15 @@ def _unmatched_landmark(
         )  # fmt: skip
     id = min(expected, key=lambda id: expected[id])
     name = cases[0].semantic_map.classes.element_name(class_id, id)
+    often = "seldom" if id in detected else "never"
     return RunFault(
         "moved in the map",
-        f"{name} is never detected at its mapped position; {len(frames)} frames show it {where}.",
+        f"{name} is {often} detected at its mapped position; {len(frames)} frames show it {where}.",
         (evidence, EvidenceItem("moved", expected[id], "m")), (id,), **of_frames,
     )  # fmt: skip
 
 
-def _expected(cases: Sequence[FrameReference], id: int) -> bool:
-    """Whether an element is in view of several frames."""
+def _is_absent(cases: Sequence[FrameReference], id: int, detected: int) -> bool:
+    """Whether an element is in view of several frames, and detected by hardly any."""
     times = sum(bool((case.in_view & (case.nearby.id == id)).any()) for case in cases)
-    return times >= NEEDED_FRAMES
+    return times >= NEEDED_FRAMES and detected < max(1.0, STRAY_SHARE * times)

@@ -1,0 +1,84 @@
+"""Frames that are not ok get the pose that odometry carries to them, and runs name more by it."""
+
+from dataclasses import replace
+from functools import lru_cache
+from itertools import count
+
+import numpy as np
+from support.planted_runs import PlantedRun, plant_in_run
+
+from semviz_core.base.localization import Localization
+from semviz_core.base.pose import Pose
+from semviz_core.diagnosis.carried_poses import with_carried_poses
+from semviz_core.diagnosis.fault import FaultKind
+from semviz_core.diagnosis.reference import FrameReference, is_near, pose_distance
+from semviz_core.diagnosis.run import diagnose_run
+from semviz_core.research.evaluation.problems import DETECTOR, default_road
+
+OK = (0, 1)
+"""Frames of a drive that keep their own poses; the others lose them."""
+
+
+@lru_cache
+def drive(fault: FaultKind) -> PlantedRun:
+    found = (plant_in_run(fault, seed, default_road()) for seed in count())
+    return next(filter(None, found))
+
+
+def few_ok(run: PlantedRun) -> list[Localization]:
+    """The frames of which only ``OK`` are ok, at their true poses."""
+    sure = np.diag(np.repeat([0.05, 0.002], 3) ** 2)
+    return [
+        replace(result, status="ok", T_camera_map=truth.T_camera_map, covariance=sure)
+        if row in OK
+        else replace(result, status="cannot", T_camera_map=None, covariance=None)
+        for row, (result, truth) in enumerate(run.frames)
+    ]
+
+
+def cases(run: PlantedRun, results: list[Localization]) -> list[FrameReference]:
+    return [FrameReference.of(result, run.semantic_map, None, DETECTOR) for result in results]
+
+
+def test_odometry_carries_poses_to_frames_without_one() -> None:
+    run = drive("healthy")
+    carried = with_carried_poses(cases(run, few_ok(run)), run.odometry)
+    for case, (_, truth) in zip(carried, run.frames, strict=True):
+        assert case.localization.status == "ok"
+        assert case.reference is not None
+        away_m, angle = pose_distance(case.reference, truth.T_camera_map)
+        assert away_m < 0.5
+        assert angle < 0.02
+
+
+def test_a_pose_that_no_other_frame_agrees_with_is_not_carried() -> None:
+    """Without priors, two frames that disagree tell nothing of the others."""
+    run = drive("healthy")
+    results = [replace(result, prior=None) for result in few_ok(run)]
+    first = results[0].T_camera_map
+    assert first is not None
+    off = Pose(np.eye(3), np.array([0.0, 0.0, 4.0]))
+    results[0] = replace(results[0], T_camera_map=off @ first)
+    carried = with_carried_poses(cases(run, results), run.odometry)
+    assert [case.localization.status for case in carried[2:]] == ["cannot"] * (len(carried) - 2)
+
+
+def test_a_stretch_without_any_pose_is_tracked_with_its_priors() -> None:
+    run = drive("healthy")
+    lost = [replace(result, status="cannot", T_camera_map=None) for result in few_ok(run)]
+    carried = with_carried_poses(cases(run, lost), run.odometry)
+    assert [case.localization.status for case in carried] == ["ok"] * len(carried)
+    for case, (_, truth) in zip(carried, run.frames, strict=True):
+        assert case.reference is not None
+        assert is_near(case.reference, truth.T_camera_map)
+
+
+def test_a_moved_element_is_named_though_few_frames_have_a_pose() -> None:
+    run = drive("moved in the map")
+    frames = [(result, None) for result in few_ok(run)]
+    without = diagnose_run(frames, run.semantic_map, DETECTOR)
+    found = diagnose_run(frames, run.semantic_map, DETECTOR, odometry=run.odometry)
+    assert without.elements == ()
+    assert [fault.kind for fault in found.elements] == ["moved in the map"]
+    assert set(found.elements[0].elements) == set(run.elements)
+    assert found.frames == len(frames)
