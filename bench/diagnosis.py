@@ -56,7 +56,9 @@ class Options:
     frames: int = 200
     """Of each kind; 0 for runs alone."""
     runs: int = 40
-    """Of each kind, of ten frames, and half as many long ones; 0 for frames alone."""
+    """Of each kind, and half as many of more than ten frames; 0 for frames alone."""
+    lengths: tuple[int, ...] = (FRAMES, LONG)
+    """Frames of the runs."""
     run_kinds: tuple[FaultKind, ...] = RUN_KINDS
     """What is planted in runs, beside nothing."""
     fix_sigma_m: float | None = None
@@ -70,7 +72,8 @@ def main(options: Options) -> None:
     if options.frames:
         print_frames(options)
     if options.runs:
-        for count, share in ((FRAMES, 1), (LONG, 2)):
+        for count in options.lengths:
+            share = 1 if count <= FRAMES else 2
             print_runs(options, count, max(options.runs // share, 1))
 
 

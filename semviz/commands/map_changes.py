@@ -92,7 +92,7 @@ class MapChangesCommand:
         self, workspace: "Workspace", found: "MapChanges", before: "ChangeDecisions"
     ) -> "ChangeDecisions":
         """Store what is kept, and that what is open and sure is changed."""
-        from semviz.workspace.map_decisions import Answer, decide, decisions_path
+        from semviz.workspace.map_decisions import Answer, decide_in
         from semviz.workspace.settings import login_name
 
         digest = found.semantic_map.digest
@@ -103,7 +103,7 @@ class MapChangesCommand:
         }
         answers |= dict.fromkeys(self.keep, "keep")
         rows = [(name, answer, None) for name, answer in answers.items()]
-        return decide(decisions_path(workspace), found, rows, login_name())
+        return decide_in(workspace, found, rows, login_name())
 
 
 def _passes(paths: Iterable[Path], semantic_map: "SemanticMap") -> "list[Pass]":

@@ -29,7 +29,7 @@ from semviz.workspace.map_decisions import (
     ChangeDecisions,
     DecisionConflictError,
     LabelPlace,
-    decide,
+    decide_in,
     decisions_path,
     read_decisions,
 )
@@ -154,9 +154,8 @@ class OverTimePanel(Panel):
         self._send_answers()
 
     def _store(self, answers: tuple[Former, ...], seen: int) -> None:
-        path = decisions_path(self._workspace)
         try:
-            decide(path, self._found.changes, answers, login_name(), seen)
+            decide_in(self._workspace, self._found.changes, answers, login_name(), seen)
         except DecisionConflictError as error:
             self._send_answers()  # the page has seen the decisions of now
             raise RefusedError("conflict", str(error)) from None

@@ -1,11 +1,13 @@
 """What people decided on changes of a map: the file ``map_decisions.json`` of a workspace.
 
 The file holds the decisions in order; the last one about a change counts. The page "Map over time"
-and ``semviz map changes`` write and read it. Nothing here changes a map: decisions are made into a
-new one by ``changed_map``.
+and ``semviz map changes`` write and read it. One that asks for a label in a frame of another
+workspace is in the file of that one, too, for its list of labels. Nothing here changes a map:
+decisions are made into a new one by ``changed_map``.
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -23,6 +25,8 @@ from semviz_core.common.errors import SemvizError
 Answer: TypeAlias = Literal["make", "keep", "label", "open"]
 """``make`` the change; ``keep`` the map as it is; ask for a ``label``, and keep the map until then;
 ``open``: not decided."""
+HERE = "."
+"""The folder of the workspace itself."""
 _Name = Annotated[str, Field(max_length=80)]
 
 
@@ -49,6 +53,10 @@ class LabelPlace(CheckedModel):
     """Folder of the workspace of the pass, from that of the map; ``.``: it is the same."""
     run: str
     frame: int = Field(ge=0, lt=2**31)
+
+
+DecidedAnswer: TypeAlias = tuple[str, Answer, LabelPlace | None]
+"""Name of a change, the answer, and where a label is asked for."""
 
 
 class ChangeDecision(CheckedModel):
@@ -116,7 +124,7 @@ class ChangeDecisions(CheckedModel):
     def labels_here(self) -> list[ChangeDecision]:
         """Return the decisions that ask for labels in frames of this workspace, oldest first."""
         last = {(one.map, one.kind, one.name): one for one in self.decisions}
-        return [one for one in last.values() if one.label and one.label.workspace == "."]
+        return [one for one in last.values() if one.label and one.label.workspace == HERE]
 
 
 def asked_by_frame(path: Path) -> dict[int, tuple[str, ...]]:
@@ -153,10 +161,48 @@ def read_decisions(path: Path) -> ChangeDecisions:
     return read_checked(path, ChangeDecisions, "decisions", "all changes of the map are then open")
 
 
+def decide_in(
+    workspace: Workspace,
+    found: MapChanges,
+    answers: Sequence[DecidedAnswer],
+    author: str,
+    seen: int | None = None,
+) -> ChangeDecisions:
+    """Add answers to the file of the workspace of a map, as ``decide`` does.
+
+    Workspaces whose frames show what a label is asked for, or was, get that answer, too: their own
+    lists of labels show it. Raise SemvizError if one of them is gone; nothing is then decided.
+    """
+    path = decisions_path(workspace)
+    told = _told_elsewhere(read_decisions(path), found, answers)
+    paths = {folder: decisions_path(Workspace.open(workspace.path / folder)) for folder in told}
+    after = decide(path, found, answers, author, seen)
+    for folder, others in told.items():
+        decide(paths[folder], found, others, author)
+    return after
+
+
+def _told_elsewhere(
+    before: ChangeDecisions, found: MapChanges, answers: Sequence[DecidedAnswer]
+) -> dict[str, list[DecidedAnswer]]:
+    """Return what other workspaces are told, by folder."""
+    changes = {change.name: change for change in found.changes}
+    told: dict[str, list[DecidedAnswer]] = defaultdict(list)
+    for name, answer, place in answers:
+        last = before.on(changes[name], found.semantic_map.digest) if name in changes else None
+        if last is not None and last.label is not None:
+            told[last.label.workspace].append((name, "open", None))
+        if place is not None:
+            there = place.model_copy(update={"workspace": HERE})
+            told[place.workspace].append((name, answer, there))
+    told.pop(HERE, None)
+    return told
+
+
 def decide(
     path: Path,
     found: MapChanges,
-    answers: Sequence[tuple[str, Answer, LabelPlace | None]],
+    answers: Sequence[DecidedAnswer],
     author: str,
     seen: int | None = None,
 ) -> ChangeDecisions:

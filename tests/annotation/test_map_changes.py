@@ -12,13 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from semviz_annotation.labels.labels import Labels
+from semviz_annotation.mapping.passes.candidates import candidates
 from semviz_annotation.mapping.passes.changed_map import changed_map
 from semviz_annotation.mapping.passes.changes import Change, MapChanges, find_changes
 from semviz_annotation.mapping.passes.evidence import Pass, evidence_of
 from semviz_annotation.mapping.passes.existence import PassCounts, change_between, existence_of
 from semviz_annotation.mapping.quality.diff import diff_maps
 from semviz_core.base.elements import joined
+from semviz_core.base.localization import Localization
 from semviz_core.base.map_file import load_map, save_map
+from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.simulation.street import Street
 
@@ -206,6 +209,43 @@ def test_planted_changes_are_found_and_nothing_else(
     assert moved.name == world.first_map.name_of(*world.moves)
     assert moved.moved_m == pytest.approx(1.5, abs=0.4)
     assert np.linalg.norm(place_m(truth, *world.moves) - moved.place_m[:2]) < 0.4
+
+
+def test_what_two_frames_of_each_pass_show_is_a_candidate(
+    world: ChangingStreet, passes: list[Pass]
+) -> None:
+    """One pass alone is not enough: two false detections may agree."""
+    first, (new,) = world.first_map, world.appears
+    elements = world.street.truth_map.elements
+    at_m = elements.anchor_m[elements.id == new][0]
+    few = [showing_twice(one, at_m) for one in passes[CHANGE + 1 :]]
+
+    def near(some: list[Pass]) -> int:
+        labels = Labels(triangle_center=first.triangle_center)
+        found = candidates(some, first, labels, lambda what, done, of: None)
+        away_m = np.linalg.norm(found.anchor_m - at_m, axis=1)
+        return int((away_m < 1.5).sum())
+
+    assert near(few) == 1
+    assert near(few[:1]) == 0
+
+
+def showing_twice(one: Pass, at_m: FloatArray) -> Pass:
+    """The pass without the sure frames that detect something at a point (3,), but for two."""
+    show = [position for position in one.sure if detects(one.localizations[position], at_m)]
+    blind = set(show) - {show[len(show) // 2], show[-1]}
+    results = tuple(
+        replace(result, status="ambiguous") if position in blind else result
+        for position, result in enumerate(one.localizations)
+    )
+    return replace(one, localizations=results)
+
+
+def detects(result: Localization, at_m: FloatArray) -> bool:
+    assert result.T_camera_map is not None
+    point = result.T_camera_map.apply(at_m[None])
+    off_px = result.observed.anchor_px - result.camera.project(point)
+    return bool(point[0, 2] > 0.0 and (np.abs(off_px).max(axis=1) < 12.0).any())
 
 
 def test_a_street_that_does_not_change_is_found_unchanged(world: ChangingStreet) -> None:

@@ -1,6 +1,8 @@
 """The view "Map over time": what it says of planted changes, decisions on them, the changed map."""
 
 import json
+import os
+import shutil
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -24,6 +26,7 @@ from semviz.workspace.map_decisions import (
     LabelPlace,
     asked_by_frame,
     decide,
+    decide_in,
     decisions_path,
     read_decisions,
 )
@@ -148,6 +151,27 @@ def test_two_who_decide_at_once_both_stay(town: Town, over_time: OverTime, decis
     for thread in threads:
         thread.join()
     assert {one.author for one in read_decisions(decisions).decisions} == set(names)
+
+
+def test_a_label_in_a_frame_of_another_workspace_is_in_its_list(
+    town: Town, over_time: OverTime, decisions: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / "june"
+    other.mkdir()
+    shutil.copy(town[0].path / "semviz.toml", other)
+    folder = os.path.relpath(other.resolve(), town[0].path.resolve())
+    place = LabelPlace(workspace=folder, run="pass-7", frame=21)
+    found, name = over_time.changes, gone(town)
+    decide_in(town[0], found, [(name, "label", place)], "mara", 0)
+    assert asked_by_frame(decisions) == {}
+    there = decisions_path(Workspace.open(other))
+    assert asked_by_frame(there) == {21: (name,)}
+    decide_in(town[0], found, [(name, "keep", None)], "jon", 1)
+    assert asked_by_frame(there) == {}
+    gone_place = place.model_copy(update={"workspace": f"{folder}-gone"})
+    with pytest.raises(SemvizError):
+        decide_in(town[0], found, [(name, "label", gone_place)], "mara", 2)
+    assert len(read_decisions(decisions).decisions) == 2, "nothing is half decided"
 
 
 def test_damaged_decisions_are_refused_and_kept(

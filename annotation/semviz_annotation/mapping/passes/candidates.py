@@ -30,9 +30,12 @@ from semviz_core.base.semantic_map import (
     footprint_covariance_m2,
     footprint_m,
 )
-from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.common.arrays import ByteImage, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 
+MIN_FRAMES, MIN_IN_PASS = 4, 2
+"""So many frames detect a candidate, in all passes and in each: an element far beside the road, or
+behind others, shows in few frames of a pass."""
 SAME_M = 1.5
 """Candidates of one class are one up to this distance: the poses of two passes differ by up to a
 metre where few elements are seen, and their covariances do not tell."""
@@ -65,8 +68,15 @@ def candidates(
     return found.elements(int(ids.max()) + 1 if len(ids) else 1)
 
 
-def _built(one: Pass, semantic_map: SemanticMap, labels: Labels) -> Elements3D:
-    """Return the elements that the unexplained detections of a pass make."""
+class _Built(NamedTuple):
+    """Elements that the unexplained detections of a pass make."""
+
+    elements: Elements3D
+    frames: IntArray
+    """(n,) that detect each."""
+
+
+def _built(one: Pass, semantic_map: SemanticMap, labels: Labels) -> _Built:
     rows: list[Proposal] = []
     frames: list[Frame] = []
     center = semantic_map.triangle_center
@@ -81,13 +91,15 @@ def _built(one: Pass, semantic_map: SemanticMap, labels: Labels) -> Elements3D:
     detections = Proposals.of(rows, ProcessedImages(one.name, images=images))
     source = _Posed(Rig(one.localizations[one.sure[0]].camera), semantic_map.frame, tuple(frames))
     linking = LinkOptions(BuildOptions().place, _pose_sigma_m(one))
-    tracked = detection_labels(nothing, detections, source, linking, TrackOptions(min_frames=4))
+    options = TrackOptions(min_frames=MIN_IN_PASS)
+    tracked = detection_labels(nothing, detections, source, linking, options)
     if not tracked.labels.elements:
-        return NO_ELEMENTS
+        return _Built(NO_ELEMENTS, np.zeros(0, np.int64))
     gathered = collect_observations(tracked.labels, source, None, tracked.sigma_ratio)
     tracks = find_tracks(tracked.labels, gathered, linking, None, lambda what, done, of: None)
     tracks = finish_detected(tracks, tracked.log_odds.keys(), tracked.min_frames)
-    return map_elements(tracks, tracked.log_odds)[0]
+    elements, origin = map_elements(tracks, tracked.log_odds)
+    return _Built(elements, np.array([len(each.observation_ids) for each in origin], np.int64))
 
 
 def _pose_sigma_m(one: Pass) -> float:
@@ -108,22 +120,26 @@ class _Cluster(NamedTuple):
     place_m: FloatArray
     """(2,)"""
     variance_m2: float
+    frames: int
+    """That detect it, in all passes."""
 
 
 class _Clusters:
     def __init__(self) -> None:
         self._found: list[_Cluster] = []
 
-    def add(self, elements: Elements3D) -> None:
+    def add(self, built: _Built) -> None:
         """Add the elements of a pass, each to the nearest cluster of its class, or as its own."""
+        elements = built.elements
         variance_m2 = np.trace(footprint_covariance_m2(elements), axis1=1, axis2=2) / 2.0
         for row, place_m in enumerate(footprint_m(elements)[:, :2]):
-            one = _Cluster(elements[[row]], place_m, float(variance_m2[row]))
+            one = _Cluster(elements[[row]], place_m, float(variance_m2[row]), built.frames[row])
             near = self._nearest(one)
             if near is None:
                 self._found.append(one)
-            elif one.variance_m2 < self._found[near].variance_m2:
-                self._found[near] = one
+                continue
+            best = min(self._found[near], one, key=lambda each: each.variance_m2)
+            self._found[near] = best._replace(frames=self._found[near].frames + one.frames)
 
     def _nearest(self, one: _Cluster) -> int | None:
         nearest, least_m = None, SAME_M
@@ -134,9 +150,10 @@ class _Clusters:
         return nearest
 
     def elements(self, first_id: int) -> Elements3D:
-        """Return the clusters as elements with ids from ``first_id`` on."""
+        """Return the clusters that enough frames show as elements with ids from ``first_id`` on."""
+        shown = [cluster for cluster in self._found if cluster.frames >= MIN_FRAMES]
         named = (
             replace(cluster.best, id=np.array([first_id + number]))
-            for number, cluster in enumerate(self._found)
+            for number, cluster in enumerate(shown)
         )
         return reduce(joined, named, NO_ELEMENTS)

@@ -34,6 +34,8 @@ KINDS: tuple[ChangeKind, ...] = ("vanished", "new", "moved", "unsure")
 GONE, SURE, LIKELY = 0.05, 0.95, 0.5
 """Probabilities of existence: an element is gone below ``GONE``, and unsure up to ``LIKELY``. A new
 one is real with ``SURE``, and now there with ``LIKELY``."""
+GONE_BESIDE_NEW = 0.2
+"""Below this, an element is gone if a new one of its class appeared close by: then it moved."""
 MOVED_M = 3.0
 """An element that vanished and a new one of its class are one that moved, up to this distance."""
 
@@ -203,10 +205,11 @@ def _named(
     n, now, counts = len(semantic_map), found.now, evidence.counts
     met, seen = counts.chances[:n].any(axis=1), counts.seen[:n].any(axis=1)
     is_gone = (now[:n] < GONE) & seen
+    appeared = n + np.flatnonzero(_is_new(found)[n:])
+    moved = _moved(whole, np.flatnonzero((now[:n] < GONE_BESIDE_NEW) & seen), appeared)
+    is_gone[list(moved)] = True
     vanished = np.flatnonzero(is_gone)
     doubtful = np.flatnonzero((now[:n] < LIKELY) & met & ~is_gone)
-    appeared = n + np.flatnonzero(_is_new(found)[n:])
-    moved = _moved(whole, vanished, appeared)
     taken = {pair.new for pair in moved.values()}
     new = [row for row in appeared.tolist() if row not in taken]
     describe = _Describer(semantic_map, whole, counts, found, passes)
