@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 from tyro.conf import Positional, UseAppendAction, arg
 
@@ -16,8 +16,10 @@ from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     from semviz.runs.run import Run
+    from semviz.runs.tables import Row
     from semviz_annotation.map_formats.conversion import ConversionTally
     from semviz_core.base.frame import Frame
+    from semviz_core.metrics.pose_errors import Summary
 
 
 @dataclass(frozen=True)
@@ -175,9 +177,8 @@ class EvaluateCommand:
     force: parsing.Force = False
 
     def run(self) -> int:
-        from semviz.runs.metrics import summarize_run
-        from semviz.runs.reader import load_run
-        from semviz.runs.tables import found_diagnoses, write_csv
+        from semviz.runs.stored_run import from_sound_frames
+        from semviz.runs.tables import write_csv
         from semviz.workspace.outputs import check_outputs, starts_with
 
         if not self.runs:
@@ -185,21 +186,38 @@ class EvaluateCommand:
         if self.csv is not None:
             ours = starts_with(b"run,frame,time_s,status,rte_m")
             check_outputs(self.csv, ours, force=self.force, reads=self.runs)
-        loaded = [load_run(path) for path in self.runs]
-        summaries = [summarize_run(run) for run in loaded]
+        found = [from_sound_frames(path, self._evaluated) for path in self.runs]
         if self.csv is not None:
-            write_csv(loaded, self.csv)
+            write_csv([row for one in found for row in one.rows], self.csv)
         if self.json:
             rows = [
-                {"run": str(path), **summary.as_json(), "diagnoses": found_diagnoses(run)}
-                for path, run, summary in zip(self.runs, loaded, summaries, strict=True)
+                {"run": str(path), **one.summary.as_json(), "diagnoses": one.diagnoses}
+                for path, one in zip(self.runs, found, strict=True)
             ]
             print(json.dumps(rows[0] if len(rows) == 1 else {"runs": rows}))
         else:
-            for path, run, summary in zip(self.runs, loaded, summaries, strict=True):
-                found = ", ".join(f"{kind} {n}" for kind, n in found_diagnoses(run).items())
-                print(f"{path}  {run.note}\n{summary.as_text()}\ndiagnoses: {found}\n")
+            for path, one in zip(self.runs, found, strict=True):
+                diagnoses = ", ".join(f"{kind} {n}" for kind, n in one.diagnoses.items())
+                print(f"{path}  {one.note}\n{one.summary.as_text()}\ndiagnoses: {diagnoses}\n")
         return 0
+
+    def _evaluated(self, run: "Run") -> "_Evaluated":
+        from semviz.runs.metrics import summarize_run
+        from semviz.runs.tables import found_diagnoses, frame_rows
+
+        summary = summarize_run(run)
+        rows = [] if self.csv is None else frame_rows(run)
+        return _Evaluated(run.note, summary, found_diagnoses(run), rows)
+
+
+class _Evaluated(NamedTuple):
+    """What is said of a run."""
+
+    note: str
+    summary: "Summary"
+    diagnoses: dict[str, int]
+    rows: "list[Row]"
+    """One for each frame, if they are wanted."""
 
 
 @dataclass(frozen=True)

@@ -51,11 +51,11 @@ def is_overconfident(localization: Localization, errors: Errors | None) -> bool:
 
 
 def summarize_run(run: Run) -> Summary:
-    """Summarize errors, status and runtime over all frames of a run."""
-    truths = [frame.frame.T_map_camera for frame in run.frames]
+    """Summarize errors, status and runtime over all frames of a run, read one after the other."""
+    truths = (frame.frame.T_map_camera for frame in run.frames)
     return summarize(
-        [frame.localization for frame in run.frames],
-        [None if truth is None else truth.inverse() for truth in truths],
+        (frame.localization for frame in run.frames),
+        (None if truth is None else truth.inverse() for truth in truths),
     )
 
 

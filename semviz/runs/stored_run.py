@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, TypeVar, overload
 
 import pyarrow as pa
 
@@ -42,6 +42,7 @@ from semviz_core.common.errors import SemvizError
 
 HELD = 128
 """Frames kept in memory, of those that were used last."""
+Value = TypeVar("Value")
 Place = tuple[int, int]
 """First byte of messages in a file, and the byte after them."""
 Report = Callable[[str, float], None]
@@ -78,6 +79,17 @@ def open_run(
         raise SemvizError(f"{path}: cannot be read ({error.strerror})") from None
     finally:
         pa.default_memory_pool().release_unused()
+
+
+def from_sound_frames(path: Path, work: Callable[[Run], Value]) -> Value:
+    """Return what ``work`` makes of a run, whose frames stay in its file.
+
+    If it meets a damaged frame, it is done again without those. Raise SemvizError as ``open_run``.
+    """
+    try:
+        return work(open_run(path))
+    except DamagedRowError:
+        return work(open_run(path, checks_frames=True))
 
 
 def check_run_head(path: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import get_args
 
 from semviz.runs.diagnosis import STARTING_OR_LOST, diagnosis_name, noticed_faults
+from semviz.runs.frame_table import KNOWN_TABLES
 from semviz.runs.metrics import DIAGNOSED, Metrics
 from semviz.runs.run import FrameRecord, Run
 from semviz_core.base.pose import Pose
@@ -52,9 +53,13 @@ def _pose_columns(T_camera_map: Pose | None) -> Row:
     return {name: float(value) for name, value in zip(names, values, strict=True)}
 
 
-def write_csv(runs: Sequence[Run], path: Path) -> None:
-    """Write one row per frame of every run, below a header."""
-    rows = [frame_row(run, record) for run in runs for record in run.frames]
+def frame_rows(run: Run) -> list[Row]:
+    """Return the figures of all frames."""
+    return [frame_row(run, record) for record in run.frames]
+
+
+def write_csv(rows: Sequence[Row], path: Path) -> None:
+    """Write rows of frames below a header."""
     header = list(rows[0]) if rows else ["run", "frame"]
     table = csv_text([header, *(list(row.values()) for row in rows)], line_end="\r\n")
     with replacing(path) as temporary:
@@ -63,8 +68,12 @@ def write_csv(runs: Sequence[Run], path: Path) -> None:
 
 def found_diagnoses(run: Run) -> dict[str, int]:
     """Return the diagnoses of a run with the number of frames of each, most frequent first."""
-    counts = Counter(diagnosis_name(run, record) for record in run.frames)
-    return dict(counts.most_common())
+    table = KNOWN_TABLES.get(run)
+    if table is None:
+        names = [diagnosis_name(run, record) for record in run.frames]
+    else:
+        names = table.texts_of(table.diagnosis)
+    return dict(Counter(names).most_common())
 
 
 def diagnosis_counts(run: Run) -> Metrics:

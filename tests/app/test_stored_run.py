@@ -19,9 +19,11 @@ from semviz.inspector.server import InspectorSession
 from semviz.inspector.views import FrameEvent, RunEvent
 from semviz.runs import stored_run
 from semviz.runs.frame_table import frame_table
+from semviz.runs.metrics import summarize_run
 from semviz.runs.reader import load_run
 from semviz.runs.run import FrameRecord, Run
 from semviz.runs.stored_run import open_run
+from semviz.runs.tables import found_diagnoses, frame_rows
 from semviz.runs.writer import RunWriter
 from semviz.web.protocol import Event, Request
 from semviz.web.viser_servers import ViserServers
@@ -74,6 +76,25 @@ def test_a_run_opens_by_its_table_and_its_frames_come_when_needed(
     assert opened.frames[7] is opened.frames[7]
     assert read == [7]
     assert_same_run(opened, load_run(path))
+
+
+def test_a_run_is_evaluated_with_one_frame_after_the_other(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[int] = []
+    of_file = stored_run.StoredFrames.read
+
+    def noted(frames: stored_run.StoredFrames, position: int) -> Any:
+        read.append(position)
+        return of_file(frames, position)
+
+    monkeypatch.setattr(stored_run.StoredFrames, "read", noted)
+    monkeypatch.setattr(stored_run, "HELD", 3)
+    opened, whole = open_run(path), load_run(path)
+    assert summarize_run(opened) == summarize_run(whole)
+    assert found_diagnoses(opened) == found_diagnoses(whole)
+    assert read == list(range(FRAMES)), "each once: nothing that needs them all at a time"
+    assert frame_rows(opened) == frame_rows(whole)
 
 
 def test_only_a_few_frames_are_held(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -87,5 +87,5 @@ def test_rows_for_tables() -> None:
 
 
 def test_truths_must_match_results() -> None:
-    with pytest.raises(SemvizError, match="1 localizations but 0"):
+    with pytest.raises(SemvizError, match="not as many true poses"):
         summarize([result("ok", 0.1)], [])

@@ -5,9 +5,9 @@ refer to all frames with ground truth, with or without a pose. ``Outcome`` holds
 frame, for benchmark and reports.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -182,28 +182,37 @@ def visible_rows(submap: Elements3D, T_camera_map: Pose, camera: Camera) -> IntA
     return np.flatnonzero(inside & in_range)
 
 
-def summarize(localizations: Sequence[Localization], truths: Sequence[Pose | None]) -> Summary:
-    """Summarize a run; ``truths`` holds each frame's true T_camera_map, None if unknown."""
-    if len(localizations) != len(truths):
-        raise SemvizError(
-            f"{len(localizations)} localizations but {len(truths)} true poses; give one for each"
-        )
-    status = np.array([localization.status for localization in localizations], dtype="U9")
-    errors = np.array(
-        [
-            (np.nan, np.nan) if result.T_camera_map is None or true is None
-            else pose_error(result.T_camera_map, true)
-            for result, true in zip(localizations, truths, strict=True)
-        ]
-    ).reshape(-1, 2)  # fmt: skip
-    known = np.array([true is not None for true in truths], dtype=bool)
-    times = np.array(
-        [
-            sum(localization.time_ms.values())
-            for localization in localizations
-            if localization.time_ms
-        ]
-    )
+class _Figures(NamedTuple):
+    """What is summarized of a frame."""
+
+    status: Status
+    errors: tuple[float, float]
+    """Metres and degrees; NaN if unknown."""
+    is_known: bool
+    """Whether it has a true pose."""
+    time_ms: float | None
+
+
+def _figures(result: Localization, true: Pose | None) -> _Figures:
+    estimate = result.T_camera_map
+    errors = (np.nan, np.nan) if estimate is None or true is None else pose_error(estimate, true)
+    time_ms = sum(result.time_ms.values()) if result.time_ms else None
+    return _Figures(result.status, errors, true is not None, time_ms)
+
+
+def summarize(localizations: Iterable[Localization], truths: Iterable[Pose | None]) -> Summary:
+    """Summarize a run; ``truths`` holds each frame's true T_camera_map, None if unknown.
+
+    Both are gone through once, together: frames of a long run need not be in memory.
+    """
+    try:
+        frames = [_figures(*pair) for pair in zip(localizations, truths, strict=True)]
+    except ValueError:
+        raise SemvizError("not as many true poses as localizations; give one for each") from None
+    status = np.array([frame.status for frame in frames], dtype="U9")
+    errors = np.array([frame.errors for frame in frames]).reshape(-1, 2)
+    known = np.array([frame.is_known for frame in frames], dtype=bool)
+    times = np.array([frame.time_ms for frame in frames if frame.time_ms is not None])
 
     def accuracy(rows: BoolArray) -> PoseAccuracy:
         rte_m, rre_deg = errors[rows & np.isfinite(errors[:, 0])].T

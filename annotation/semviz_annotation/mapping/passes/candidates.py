@@ -39,6 +39,10 @@ behind others, shows in few frames of a pass."""
 SAME_M = 1.5
 """Candidates of one class are one up to this distance: the poses of two passes differ by up to a
 metre where few elements are seen, and their covariances do not tell."""
+MOST_APART_M, SAME_CHI2 = 4.0, 9.2
+"""They are also one up to this distance if their covariances explain it (99 %)."""
+PASS_SIGMA_M = 0.3
+"""Error of the poses of a pass that its elements share, in each direction."""
 _LEAST_POSE_SIGMA_M = 0.05
 NO_ELEMENTS = Elements3D.from_ends([], [], [], [])
 
@@ -117,11 +121,43 @@ class _Cluster(NamedTuple):
 
     best: Elements3D
     """(1) The most precise of them."""
-    place_m: FloatArray
-    """(2,)"""
     variance_m2: float
+    """Of ``best``."""
+    information: FloatArray
+    """(2, 2) of all."""
+    weighted_m: FloatArray
+    """(2,) ``information`` times their mean."""
     frames: int
     """That detect it, in all passes."""
+
+    @property
+    def place_m(self) -> FloatArray:
+        """(2,)"""
+        return np.asarray(np.linalg.solve(self.information, self.weighted_m))
+
+    def joined(self, other: "_Cluster") -> "_Cluster":
+        better = min(self, other, key=lambda each: each.variance_m2)
+        return better._replace(
+            information=self.information + other.information,
+            weighted_m=self.weighted_m + other.weighted_m,
+            frames=self.frames + other.frames,
+        )
+
+    def fits(self, other: "_Cluster") -> bool:
+        """Whether both are one element: few frames show how far away it is only roughly."""
+        if self.best.class_id[0] != other.best.class_id[0]:
+            return False
+        off_m = self.place_m - other.place_m
+        covariance = np.linalg.inv(self.information) + np.linalg.inv(other.information)
+        away_m = float(np.linalg.norm(off_m))
+        chi2 = float(off_m @ np.linalg.solve(covariance, off_m))
+        return away_m < SAME_M or (away_m < MOST_APART_M and chi2 < SAME_CHI2)
+
+    def element(self, id_: int) -> Elements3D:
+        """Return the element, where all passes together put it."""
+        by_m = np.append(self.place_m - footprint_m(self.best)[0, :2], 0.0)
+        anchor_m, end_m = self.best.anchor_m + by_m, self.best.end_m + by_m
+        return replace(self.best, id=np.array([id_]), anchor_m=anchor_m, end_m=end_m)
 
 
 class _Clusters:
@@ -129,31 +165,30 @@ class _Clusters:
         self._found: list[_Cluster] = []
 
     def add(self, built: _Built) -> None:
-        """Add the elements of a pass, each to the nearest cluster of its class, or as its own."""
-        elements = built.elements
-        variance_m2 = np.trace(footprint_covariance_m2(elements), axis1=1, axis2=2) / 2.0
-        for row, place_m in enumerate(footprint_m(elements)[:, :2]):
-            one = _Cluster(elements[[row]], place_m, float(variance_m2[row]), built.frames[row])
+        """Add the elements of a pass, each to the nearest cluster that it fits, or as its own."""
+        covariance_m2 = footprint_covariance_m2(built.elements)[:, :2, :2]
+        covariance_m2 = covariance_m2 + PASS_SIGMA_M**2 * np.eye(2)
+        for row, place_m in enumerate(footprint_m(built.elements)[:, :2]):
+            information = np.linalg.inv(covariance_m2[row])
+            variance_m2 = float(np.trace(covariance_m2[row]))
+            element, frames = built.elements[[row]], int(built.frames[row])
+            one = _Cluster(element, variance_m2, information, information @ place_m, frames)
             near = self._nearest(one)
             if near is None:
                 self._found.append(one)
-                continue
-            best = min(self._found[near], one, key=lambda each: each.variance_m2)
-            self._found[near] = best._replace(frames=self._found[near].frames + one.frames)
+            else:
+                self._found[near] = self._found[near].joined(one)
 
     def _nearest(self, one: _Cluster) -> int | None:
-        nearest, least_m = None, SAME_M
-        for number, other in enumerate(self._found):
-            away_m = float(np.linalg.norm(one.place_m - other.place_m))
-            if one.best.class_id[0] == other.best.class_id[0] and away_m < least_m:
-                nearest, least_m = number, away_m
-        return nearest
+        away_m = {
+            number: float(np.linalg.norm(one.place_m - other.place_m))
+            for number, other in enumerate(self._found)
+            if other.fits(one)
+        }
+        return min(away_m, key=away_m.__getitem__, default=None)
 
     def elements(self, first_id: int) -> Elements3D:
         """Return the clusters that enough frames show as elements with ids from ``first_id`` on."""
         shown = [cluster for cluster in self._found if cluster.frames >= MIN_FRAMES]
-        named = (
-            replace(cluster.best, id=np.array([first_id + number]))
-            for number, cluster in enumerate(shown)
-        )
+        named = (cluster.element(first_id + number) for number, cluster in enumerate(shown))
         return reduce(joined, named, NO_ELEMENTS)
