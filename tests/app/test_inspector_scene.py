@@ -460,7 +460,8 @@ def wait_for(page: "Page", happened: Callable[[], bool], what: str) -> None:
         if happened():
             return
         page.wait_for_timeout(50)
-    raise AssertionError(f"never came: {what}")
+    lost = [frame.evaluate("window.context?.isContextLost()") for frame in page.frames]
+    raise AssertionError(f"never came: {what} (WebGL contexts lost: {lost})")
 
 
 @pytest.mark.browser
@@ -522,10 +523,11 @@ window.setTimeout = (act, ms, ...rest) => later(act, ms === 300 ? 10000 : ms, ..
 
 PICTURES = """
 window.pictures = 0; // of the 3D pane, with another content than the one before
+window.context = null;
 let drawn = null, before = null;
 const { drawElements } = WebGL2RenderingContext.prototype;
 WebGL2RenderingContext.prototype.drawElements = function (...all) {
-  drawn = this;
+  drawn = window.context = this;
   return drawElements.apply(this, all);
 };
 const refresh = window.requestAnimationFrame.bind(window);
@@ -576,7 +578,7 @@ def test_a_step_is_one_picture_in_3d_though_its_cameras_come_before_the_rest(
     for _ in range(3):
         pane.evaluate("window.pictures = 0")
         page.keyboard.press(".")
-        wait_for(page, lambda: pane.evaluate("window.pictures") > 0, "the picture")
+        wait_for(page, lambda: pane.evaluate("window.pictures") > 0, f"the picture of {page.url}")
         page.wait_for_timeout(700)
         pictures.append(pane.evaluate("window.pictures"))
     assert sorted(pictures)[1] == 1, pictures
