@@ -37,6 +37,7 @@ TABLES: dict[str, tuple[str, Line]] = {
     "time, matrix": ("", lambda stamp, T: f"{stamp}," + matrix(T).replace(" ", ",")),
     "time, 4x4": ("", lambda stamp, T: f"{stamp / 1e9!r} " + matrix(T) + " 0 0 0 1"),
     "4x4": ("", lambda stamp, T: matrix(T) + " 0 0 0 1"),
+    "TUM without times": ("", lambda stamp, T: position_and_turn(T)),
     "name, TUM": ("", lambda stamp, T: f"{stamp}.png " + position_and_turn(T)),
     "name, KITTI": ("", lambda stamp, T: f"{stamp}.png " + matrix(T)),
     "names, scalar first": (

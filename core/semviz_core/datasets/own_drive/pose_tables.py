@@ -95,7 +95,7 @@ def _of_north_east_down(table: SensorTable) -> RecordedPoses:
     matrices = np.concatenate([_body_axes(table, np.pi / 2.0 - heading), place[:, :, None]], axis=2)
     unit = "rad" if "heading" in in_radians or is_in_radians(table.written["heading"]) else "deg"
     note = f"{table.written['heading']} in {unit} clockwise from north, {_tilt(table)}"
-    return RecordedPoses(table.path, "north, east, down", matrices, of_body=True, note=note)
+    return RecordedPoses(table.path, "table", matrices, of_body=True, note=note)
 
 
 def _of_gnss(table: SensorTable) -> RecordedPoses:
