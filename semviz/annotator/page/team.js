@@ -180,7 +180,7 @@ export class Team {
       return;
     }
     const person = byId("team-person", HTMLSelectElement).value;
-    if (this.page.socket.send("assign_frames", { person, frames })) field.value = "";
+    if (this.page.ask("assign_frames", { person, frames })) field.value = "";
     field.blur();
   }
 
