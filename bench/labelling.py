@@ -108,7 +108,7 @@ def run_kitti(
     kitti: Path, frames: int, folder: Path, browser: Any, hand: int, stride: int
 ) -> Outcome:
     path = folder / f"kitti-02-{hand}"
-    workspace = Workspace.create_kitti(path, kitti, "02", (2, 3), KITTI_FRAMES)
+    workspace = Workspace.create_kitti(path, kitti, "02", (2, 3), KITTI_FRAMES[:frames])
     return run(workspace, KittiDrive.of(kitti), frames, browser, hand, stride)
 
 

@@ -86,7 +86,7 @@ class Hand:
     def hover(self, side: Side, pixel: np.ndarray) -> None:
         """The pointer over a pixel, until the page says what is there."""
         self.page.mouse.move(*self.on_screen(side, pixel))
-        self.page.wait_for_function("() => !semviz.isPreviewing")
+        self.page.wait_for_function("() => !semviz.previews.isBusy")
 
     def click(self, side: Side, pixel: np.ndarray, snapped: bool = True) -> None:
         self.work.clicks += 1

@@ -193,6 +193,7 @@ def _facts(source: Dataset, frames: tuple[Frame, ...], places: FloatArray) -> li
 
 _REPAIRS = {
     "sides": "Exchange left and right",
+    "mosaic": "Read the raw images' colours",
     "colors": "Swap red and blue",
     "lines": "Correct the distortion",
     "rows": "Refine the extrinsics",

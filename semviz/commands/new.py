@@ -108,9 +108,9 @@ class NewCommand:
     """Take lengths in a model of COLMAP or nerfstudio as metres."""
     most_gap: float = 0.25
     """Longest time (s) between two poses across which one is interpolated."""
-    colors: Literal["auto", "rgb", "bgr"] = "auto"
-    """Of your images: red first, or red and blue are swapped, as if OpenCV's pixels were stored;
-    default: red first, checked against sky and leaves."""
+    colors: Literal["auto", "rgb", "bgr", "rggb", "bggr", "gbrg", "grbg"] = "auto"
+    """Of your images: red first; red and blue swapped, as if OpenCV's pixels were stored; or raw,
+    by the first two pixels of two rows. Default: red first, checked against sky and leaves."""
     rate: float = 10.0
     """Images a second, if nothing tells their times."""
     most_view: float = 110.0
@@ -251,7 +251,7 @@ class NewCommand:
         for topic, text in drive.statements:
             print_topic(topic, text)
         drive, found = check_against_images(
-            drive, self.refine_extrinsics, check_swapped=self.colors == "auto"
+            drive, self.refine_extrinsics, check_colors=self.colors not in ("rgb", "bgr")
         )
         others = list(drive.warnings)
         if where := unusual_motion(drive.first_frames):
@@ -325,7 +325,7 @@ class NewCommand:
             up=self.up,
             scale=self.scale,
             metric=self.metric,
-            colors="bgr" if self.colors == "bgr" else "rgb",
+            colors="rgb" if self.colors == "auto" else self.colors,
             most_gap_s=self.most_gap,
             rate_hz=self.rate,
             most_view_deg=self.most_view,

@@ -38,9 +38,9 @@ def print_topic(topic: str, text: str) -> None:
 
 
 def check_against_images(
-    drive: RecordedDrive, refine: bool, check_swapped: bool
+    drive: RecordedDrive, refine: bool, check_colors: bool
 ) -> tuple[RecordedDrive, DriveFindings]:
-    """Compare calibration, poses and, with ``check_swapped``, colours with the images, and print
+    """Compare calibration, poses and, with ``check_colors``, colours with the images, and print
     the checks.
 
     With ``refine``, the drive that is returned has the refined pose of the right camera.
@@ -48,7 +48,7 @@ def check_against_images(
     with tempfile.TemporaryDirectory() as cache:
         if refine:
             drive = _refined(drive, Path(cache) / "calibrated")
-        found = check_drive_files(_dataset(drive, Path(cache) / "used"), drive, check_swapped)
+        found = check_drive_files(_dataset(drive, Path(cache) / "used"), drive, check_colors)
     _print_checks(found.checks)
     return drive, found
 

@@ -134,7 +134,7 @@ class Sessions:
         """End the sessions of a guest, from any thread: their pages cannot connect again."""
         for connection in list(self._connections.values()):
             if connection.person == person:
-                connection.loop.call_soon_threadsafe(connection.hang_up)
+                connection.hang_up()
 
     async def _make_room(self, client: str) -> None:
         """End the client's session that waits longest for its page, if it has too many."""
@@ -181,9 +181,8 @@ class _Connection:
         self._turn = asyncio.Lock()
 
     def hang_up(self) -> None:
-        """Close the websocket, after what was sent before."""
-        if self.outbox is not None:
-            self.outbox.put_nowait(None)
+        """Close the websocket, after what was sent before; from any thread."""
+        self._queue(None)
 
     def keep(self) -> None:
         """Do not end the session."""
@@ -192,11 +191,13 @@ class _Connection:
             self.end = None
 
     def send(self, event: protocol.Event) -> None:
-        text = protocol.encode(event)
-        with contextlib.suppress(RuntimeError):  # the loop is closed: the tool stops
-            self.loop.call_soon_threadsafe(self._queue, text)
+        self._queue(protocol.encode(event))
 
-    def _queue(self, text: str) -> None:
+    def _queue(self, text: str | None) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop is closed: the tool stops
+            self.loop.call_soon_threadsafe(self._put, text)
+
+    def _put(self, text: str | None) -> None:
         if self.outbox is not None:
             self.outbox.put_nowait(text)
 

@@ -14,6 +14,7 @@ from semviz_core.pose_checks.faults import PoseCheck
 
 CHECKS = Path("checks", "checks.json")
 CheckKind = Literal[
+    "mosaic",
     "colors",
     "sides",
     "lines",

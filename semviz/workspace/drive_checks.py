@@ -11,7 +11,10 @@ import numpy as np
 from semviz.workspace.drive_check_file import DriveCheck, words_of
 from semviz.workspace.motion_checks import motion_checks, turned_check
 from semviz_core.base.frame import Dataset, Frame
+from semviz_core.common.limits import read_image
 from semviz_core.datasets.own_drive import color_checks, line_checks, match_checks, pose_remedies
+from semviz_core.datasets.own_drive.color_orders import EXCHANGED, ColorOrder, mosaic_of
+from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
 from semviz_core.datasets.rig_cameras import DatasetWithFrames, frames_by_camera
 from semviz_core.pose_checks.comparison import RIGHT_U, DrivePoses, rotation_vectors
@@ -35,11 +38,11 @@ class DriveFindings:
 
 
 def check_drive_files(
-    dataset: Dataset, drive: RecordedDrive, check_swapped: bool = True
+    dataset: ImageFolder, drive: RecordedDrive, check_colors: bool = True
 ) -> DriveFindings:
     """Compare the calibration and poses of a drive with its images.
 
-    ``dataset`` holds the rectified images of ``drive``. With ``check_swapped``, nobody has said
+    ``dataset`` holds the rectified images of ``drive``. With ``check_colors``, nobody has said
     which of their colours is red.
     """
     cameras = {
@@ -47,8 +50,11 @@ def check_drive_files(
         for camera, frames in frames_by_camera(dataset).items()
     }
     checks: list[DriveCheck] = []
-    if check_swapped:
-        checks += [_colors(images, camera) for camera, images in cameras.items()]
+    if check_colors:
+        checks += [
+            _mosaic(dataset, images.frames, camera) or _colors(images, camera, dataset.colors)
+            for camera, images in cameras.items()
+        ]
     if dataset.rig.right is not None:
         checks.append(_sides(dataset))
     checks += [_lines(images, camera) for camera, images in cameras.items()]
@@ -70,7 +76,31 @@ def check_drive_files(
     return DriveFindings(tuple(checks), first)
 
 
-def _colors(dataset: Dataset, camera: str) -> DriveCheck:
+def _mosaic(dataset: ImageFolder, frames: tuple[Frame, ...], camera: str) -> DriveCheck | None:
+    """Return the check of raw images that were taken for grey ones; None for others."""
+    frame = frames[len(frames) // 2].index
+    if dataset.colors != "rgb":
+        return None
+    pattern = mosaic_of(read_image(dataset.original_path(frame, "left")))
+    if pattern is None:
+        return None
+    name, of = words_of(camera)
+    other = EXCHANGED[pattern]
+    return DriveCheck(
+        kind="mosaic",
+        name="colours, not raw" + name,
+        measured="neighbours in an image",
+        value="raw",
+        limit="none",
+        passed=False,
+        warning=f"{of}images are raw, with a colour for each pixel in turn (or {other}, if red and "
+        "blue are swapped then)",
+        option=f"--colors {pattern}",
+        frame=frame,
+    )
+
+
+def _colors(dataset: Dataset, camera: str, colors: ColorOrder) -> DriveCheck:
     found = color_checks.check_colors(dataset)
     name, of = words_of(camera)
     is_swapped = found.is_swapped
@@ -84,7 +114,7 @@ def _colors(dataset: Dataset, camera: str) -> DriveCheck:
         warning=f"{of}the sky is orange and leaves are bluish: red and blue are swapped"
         if is_swapped
         else "",
-        option="--colors bgr" if is_swapped else "",
+        option=f"--colors {EXCHANGED[colors]}" if is_swapped else "",
         frame=dataset.frames[len(dataset.frames) // 2].index,
     )
 

@@ -1,4 +1,4 @@
-"""What the page owes a person: nothing cut or covered, all commands by name, the truth offline."""
+"""What the page owes a person: nothing cut or covered, all commands by name."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from annotator_page import Served, annotating
-from journeys.driver import POLE, ROUNDED, LabelDriver
+from journeys.driver import LabelDriver
 from streets import street_workspace
 
 if TYPE_CHECKING:
@@ -124,20 +124,3 @@ def test_go_to_frame_and_playback_by_the_keyboard(driver: LabelDriver) -> None:
     frame = driver.frame
     page.wait_for_timeout(900)
     assert driver.frame == frame < 3
-
-
-def test_offline_the_card_is_never_that_of_another_element(
-    driver: LabelDriver, served: Served
-) -> None:
-    driver.draw_pair(POLE, ((600.0, 60.0), (601.0, 260.0)), ((560.0, 60.0), (561.0, 260.0)))
-    driver.clear_selection()
-    driver.draw_sign("left", (800.0, 120.0), ROUNDED)
-    driver.select("P-01")
-    driver.page.wait_for_selector("#card:has-text('±')")
-    depth = driver.page.inner_text("#card dd >> nth=0")
-    driver.page.evaluate("() => { window.WebSocket = EventTarget; semviz.socket._socket.close(); }")
-    driver.page.wait_for_function("() => !semviz.state.connected")
-    driver.page.evaluate("() => semviz.select(semviz.state.elements[1].id)")
-    driver.page.wait_for_selector("#card:has-text('O-02')")
-    assert depth not in driver.page.inner_text("#card")
-    assert "1 view" in driver.page.inner_text("#card")

@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 
 import aiohttp
 import pytest
-from echo_tool import UPGRADE, EchoTool, ask, finished, stranger
+from echo_tool import UPGRADE, EchoEvent, EchoTool, ask, finished, stranger
 from serving import at
 
 from semviz.web.gateway import Gateway
@@ -156,6 +156,19 @@ def test_a_page_that_comes_back_finds_its_session(tool: EchoTool, url: str) -> N
     first, again, other = finished(visits())
     assert first == again != other
     assert tool.made == [first, other]
+
+
+def test_a_stopped_tool_may_still_send_and_hang_up(tool: EchoTool) -> None:
+    async def visit(url: str) -> None:
+        async with aiohttp.ClientSession() as client, client.ws_connect(at(url, "socket")) as page:
+            await page.receive_json()
+
+    with Gateway(tool).running() as url:
+        finished(visit(url))
+    (connection,) = tool._sessions._connections.values()
+    assert connection.loop.is_closed()
+    tool._sessions.end_of("")
+    connection.send(EchoEvent(reply_to=None, number=1))
 
 
 def test_messages_are_answered_in_order_and_faults_are_shown(url: str) -> None:

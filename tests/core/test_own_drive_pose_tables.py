@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drive_formats import check_poses, numbers, stamps, truth, without_poses, written, wxyz
+from scipy.spatial.transform import Rotation
 
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
+from semviz_core.datasets.own_drive.conventions import NAMED_EXTRINSICS
 from semviz_core.datasets.own_drive.pose_files import read_poses
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles
@@ -35,6 +37,7 @@ TABLES: dict[str, tuple[str, Line]] = {
     "time, matrix": ("", lambda stamp, T: f"{stamp}," + matrix(T).replace(" ", ",")),
     "time, 4x4": ("", lambda stamp, T: f"{stamp / 1e9!r} " + matrix(T) + " 0 0 0 1"),
     "4x4": ("", lambda stamp, T: matrix(T) + " 0 0 0 1"),
+    "TUM without times": ("", lambda stamp, T: position_and_turn(T)),
     "name, TUM": ("", lambda stamp, T: f"{stamp}.png " + position_and_turn(T)),
     "name, KITTI": ("", lambda stamp, T: f"{stamp}.png " + matrix(T)),
     "names, scalar first": (
@@ -159,6 +162,35 @@ def test_pitch_lifts_the_nose_and_roll_lowers_the_right_side(tmp_path: Path) -> 
     raised, rolled = poses.matrices[:, :, :3]
     np.testing.assert_allclose(raised[2], [np.sin(np.deg2rad(10)), 0.0, np.cos(np.deg2rad(10))])
     np.testing.assert_allclose(rolled[2], [0.0, np.sin(np.deg2rad(10)), np.cos(np.deg2rad(10))])
+
+
+ROBOTCAR = (
+    "timestamp,ins_status,latitude,longitude,altitude,northing,easting,down,utm_zone,"
+    "velocity_north,roll,pitch,yaw"
+)
+
+
+@pytest.mark.parametrize("is_rad", [True, False])
+def test_metres_north_east_and_down_with_headings_from_north(tmp_path: Path, is_rad: bool) -> None:
+    """Oxford RobotCar's, whose angles are radians without saying so, or of who says degrees."""
+    head = ROBOTCAR if is_rad else ROBOTCAR.replace("roll,pitch,yaw", "roll_deg,pitch_deg,yaw_deg")
+    bodies = [(T @ NAMED_EXTRINSICS["flu"].inverse()) for T in map(truth, range(3))]
+    lines = [head]
+    for stamp, T in zip(stamps(), bodies, strict=False):
+        north_east_down = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
+        ahead_right_down = np.diag([1.0, -1.0, -1.0])
+        turn = Rotation.from_matrix(north_east_down @ T.rotation @ ahead_right_down)
+        yaw, pitch, roll = turn.as_euler("ZYX", degrees=not is_rad)
+        east, north, up = T.translation + np.array([619000.0, 5735000.0, 110.0])
+        words = [stamp // 1000, "INS_SOLUTION_GOOD", 51.7, -1.2, 110.0, north, east, -up, "30U"]
+        lines.append(",".join(map(str, [*words, 0.0, roll, pitch, yaw])))
+    poses = read_poses(written(tmp_path / "ins.csv", "\n".join(lines)))
+    assert poses.of_body
+    assert poses.time_unit == "us"
+    wanted = np.stack([T.as_matrix()[:3] for T in bodies])
+    np.testing.assert_allclose(poses.matrices[:, :, :3], wanted[:, :, :3], atol=1e-9)
+    moved = poses.matrices[:, :, 3] - [619000.0, 5735000.0, 110.0]
+    np.testing.assert_allclose(moved, wanted[:, :, 3], atol=1e-6)
 
 
 def test_a_cell_that_a_pose_needs_is_not_empty(drive: DriveFiles, tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { webcrypto } from "node:crypto";
 import { test } from "node:test";
-import { drawnAgain, isIdle, seen, startOf, withPending } from "../../semviz/annotator/page/pending.js";
+import { drawnAgain, isIdle, seen, standing, startOf, withPending } from "../../semviz/annotator/page/pending.js";
 import { acceptedTracks, proposing } from "../../semviz/annotator/page/proposals.js";
 import { State } from "../../semviz/annotator/page/state.js";
 import { shownScore, spaced, uuid7 } from "../../semviz/annotator/page/values.js";
@@ -209,4 +209,27 @@ test("ids sort by time of creation and have the form that the server expects", (
 test("numbers are formatted for people", () => {
   assert.deepEqual([0, 999, 4213, 1234567].map(spaced), ["0", "999", "4 213", "1 234 567"]);
   assert.deepEqual([0.798, 0.8, 1].map(shownScore), ["0.79", "0.80", "1.00"]);
+});
+
+test("undo and redo among unsaved edits take back the last one, or the one they name", () => {
+  const entry = (request, kind, more = {}) => ({ request, edit: { kind, ...more } });
+  const left = (...pending) => standing(pending).map(({ request }) => request).join("");
+  const [a, b, undo, redo] = [entry("a", "draw"), entry("b", "move"), entry("u", "undo"), entry("r", "redo")];
+  assert.equal(left(a, b, undo), "a");
+  assert.equal(left(a, b, undo, undo, redo), "a");
+  assert.equal(left(a, undo, b, redo), "b");
+  assert.equal(left(undo, a), "a"); // of an edit on disk
+  assert.equal(left(a, b, entry("u", "undo", { request: "a" })), "b");
+});
+
+test("edits that wait show in a frame whose labels are not known, and an earlier state shows none", () => {
+  const state = stateWith();
+  const edit = { kind: "draw", observation_id: "o", element_id: "e", frame_index: 9, side: "left", anchor_px: [1, 2], end_px: null, class_id: 3 };
+  state.set({ frame: 9, pending: [{ edit }] });
+  assert.deepEqual(state.elements.map(({ id }) => id), ["e"]);
+  assert.equal(state.isUnknown, true);
+  state.set({ connected: true });
+  assert.equal(state.isUnknown, false);
+  state.set({ past: { operation: 1, frame: { index: 5, elements: [] } } });
+  assert.deepEqual(state.elements, []);
 });

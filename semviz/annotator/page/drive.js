@@ -44,6 +44,7 @@ export class Drive {
       if (this.chosen < 0) this.#look(Math.max(0, drive.checks.findIndex(({ passed }) => passed === false)));
       state.set({});
     });
+    page.socket.on("workspace", () => { if (this.isShown) this.entered(); }); // connected again
     page.socket.on("drive_frame", ({ pair }) => this.picture.received(pair));
   }
 

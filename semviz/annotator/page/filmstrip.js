@@ -44,6 +44,7 @@ export class Filmstrip {
     this.goesTo = null; // the frame that follows the strip
     this.grid = new FilmstripGrid(this);
     page.socket.on("filmstrip", (event) => this.#received(event));
+    page.socket.on("workspace", () => { this.isWanted ||= this.isSearching; }); // connected again: the search goes on
   }
 
   get isShown() {
@@ -152,7 +153,7 @@ export class Filmstrip {
     if (!this.isShown) return;
     if (this.isWanted && this.state.connected && !this.state.pending.length) {
       this.isWanted = false;
-      this.page.socket.send("search_filmstrip", { frames: this.frames });
+      this.page.socket.send("search_filmstrip", { frames: this.frames.filter((frame) => !this.found.has(frame)) });
     }
     this.grid.show();
   }
@@ -249,7 +250,7 @@ export class Filmstrip {
   /** Accepts the marks of the strip in one operation, and goes to the next key frame. */
   accept() {
     if (this.isSearching) {
-      this.page.notify("The images are still being searched: a moment.");
+      this.page.notify(this.state.connected ? "The images are still being searched: a moment." : "Offline: the images are searched when the server is back.");
       return;
     }
     if (!this.page.mayEdit()) return;

@@ -71,7 +71,7 @@ export class FilmstripGrid {
     const { strip } = this, { frames, cells } = strip;
     if (!frames.length) return "no frame before or after this one is open";
     const where = `frames ${frames[0]} to ${frames[frames.length - 1]}`;
-    if (strip.isSearching) return `${where}, searching the images …`;
+    if (strip.isSearching) return strip.state.connected ? `${where}, searching the images …` : `${where}. Offline: the images are searched when the server is back`;
     const taken = cells.filter((cell) => strip.isTaken(cell)).length;
     return `${where}: ${taken} of ${counted(cells.length, "proposal")} marked ✓`;
   }

@@ -7,7 +7,7 @@ import { showHelp } from "/static/help.js";
 import { Keys } from "/static/keys.js";
 import { showPalette } from "/static/palette.js";
 import { showScene } from "/static/scene.js";
-import { PageSocket, Refusal } from "/static/socket.js";
+import { PageSocket } from "/static/socket.js";
 import { currentTheme, startTheme } from "/static/theme.js";
 import { Light } from "./aids.js";
 import { Attributes } from "./attributes.js";
@@ -25,11 +25,13 @@ import { Images } from "./images.js";
 import { Outbox } from "./outbox.js";
 import { Panels } from "./panels.js";
 import { Past } from "./past.js";
-import { draftOf, isIdle, seen, startOf } from "./pending.js";
+import { isIdle, seen, startOf } from "./pending.js";
 import { People } from "./people.js";
 import { Pictures } from "./pictures.js";
 import { Poses } from "./poses.js";
-import { moveToRestored, overwriting, replacedLabels, samePlace } from "./questions.js";
+import { Previews } from "./previews.js";
+import { refused } from "./questions.js";
+import { Remembered } from "./remembered.js";
 import { Review } from "./review.js";
 import { SecondChoice, inAddress, wishInAddress } from "./second.js";
 import { State } from "./state.js";
@@ -55,9 +57,11 @@ export class Page {
     this.outbox = null; // once the workspace is known
     /** @type {import("/static/scene.js").RenderGate | null} */
     this.sceneGate = null;
+    /** @type {Set<string>} */
+    this.late = new Set(); // requests that waited for the connection: their person has gone on since
     this.soughtName = new URLSearchParams(location.search).get("element"); // for example P-04, or the id of a track
-    this.isPreviewing = false;
-    this.previewAgain = false;
+    this.remembered = new Remembered(this.state);
+    this.previews = new Previews(this.state, this);
     /** @type {PageSocket<annotator.Requests, annotator.Events>} */
     this.socket = new PageSocket();
     this.#listen();
@@ -97,6 +101,7 @@ export class Page {
   submit(edit, since = this.state.lastShown) {
     const { state, outbox } = this;
     if (!outbox || !this.mayEdit() || isIdle(state.elements, edit)) return;
+    const before = state.connected ? "" : shownLabels(state);
     this.sceneGate?.hold(false);
     const start = startOf(state.elements, edit);
     const isStored = start
@@ -110,7 +115,8 @@ export class Page {
     if (edit.kind === "draw") {
       state.set({ selected: { element: edit.element_id, side: edit.side }, vertex: "anchor" });
     }
-    this.#showPending();
+    this.showPending();
+    if (!state.connected && shownLabels(state) === before) this.notify("Kept here: it shows when the server is back.");
   }
 
   /** Whether labels can be changed now; if not, a message says why. */
@@ -135,32 +141,24 @@ export class Page {
     if (!this.mayEdit()) return true;
     this.state.set({ question: null });
     answer.run();
-    this.#showPending();
+    this.showPending();
     return true;
   }
 
-  /** Requests guides and numbers of the draft; one request at a time, the latest state wins. */
-  async preview() {
-    if (this.state.past) return; // guides and numbers belong to the present state
-    this.previewAgain = this.isPreviewing;
-    if (this.isPreviewing) return;
-    this.isPreviewing = true;
-    do {
-      this.previewAgain = false;
-      await this.#previewOnce();
-    } while (this.previewAgain);
-    this.isPreviewing = false;
+  preview() {
+    this.previews.ask();
   }
 
-  async #previewOnce() {
-    try {
-      const { frame, subject } = this.state;
-      const { preview } = await this.socket.request("preview_draft", { draft: draftOf(this.state) });
-      this.state.set({ preview: this.state.past ? null : preview, previewed: { frame, subject } });
-    } catch (refusal) {
-      if (!(refusal instanceof Refusal)) throw refusal;
-      if (refusal.code !== "offline") this.notify(refusal.message, "wrong");
-    }
+  /** Sends what a person asks for; without a connection, a message says that it was not done.
+   *
+   * @template {keyof annotator.Requests & string} Type
+   * @param {Type} type
+   * @param {Omit<annotator.Requests[Type], "type" | "id">} fields
+   */
+  ask(type, fields) {
+    const isSent = this.socket.send(type, fields);
+    if (!isSent) this.notify("Offline: not done. Try again when the server is back.", "wrong");
+    return isSent;
   }
 
   /** Shows frame `index`; the selection stays, so that the element can be continued there.
@@ -174,8 +172,17 @@ export class Page {
     state.set({ frame: index, preview: null });
     const { wish, view } = state;
     window.history.replaceState(null, "", `?frame=${index}${inAddress(wish)}${view === "images" ? "" : `&view=${view}`}${this.tracks.inAddress()}`);
-    this.socket.send("go_to_frame", { frame: index, second: wish });
     this.sceneGate?.hold(true);
+    this.#load(index);
+  }
+
+  /** Asks for labels, images and numbers of a frame.
+   *
+   * @param {number} index
+   */
+  #load(index) {
+    this.remembered.recall();
+    this.socket.send("go_to_frame", { frame: index, second: this.state.wish });
     this.#showPictures(index);
     this.preview();
   }
@@ -240,6 +247,7 @@ export class Page {
     socket.onConnection((connected) => {
       if (!connected) this.outbox?.disconnected();
       state.set({ connected, theme: currentTheme(), trouble: null });
+      this.remembered.recall(); // the labels of this frame may have been on their way
     });
     socket.on("workspace", (event) => this.#begin(event));
     socket.on("label_file", ({ state: file, text }) => state.set({ labelFile: { state: file, text } }));
@@ -270,7 +278,7 @@ export class Page {
       if (isTrack) this.review.open("tracks", element);
       else this.select(element);
     });
-    socket.on("error", (event) => this.#refused(event));
+    socket.on("error", (event) => refused(event, this));
   }
 
   /** @param {annotator.WorkspaceEvent} event */
@@ -281,17 +289,27 @@ export class Page {
     const ofImages = this.views.ofImages(commands(state, this.images, this.tools, this));
     this.keys.use([...ofImages, ...this.views.commands(), ...this.conflict.commands(), ...this.people.commands(), ...this.filmstrip.commands(), ...this.tracks.commands(), ...this.poses.commands(), ...this.team.commands(), ...this.drive.commands()]);
     const outbox = (this.outbox ??= new Outbox(workspace.key, (entry) => this.#send(entry)));
-    this.#showPending();
+    this.showPending();
     this.panels.start();
     this.light.start();
-    this.images.fit();
-    const view = new URLSearchParams(location.search).get("view"); // going to a frame writes the address anew
-    this.go(isFirst ? this.#firstFrame(labels.frames) : state.frame);
-    if (isFirst) this.views.openNamed(view);
-    if (isFirst) new Sketch(state, workspace.key).restore();
+    if (isFirst) this.#open(labels.frames);
+    else if (state.frame !== null) this.#load(state.frame); // connected again: zoom, selection and drawing stay
+    if (!isFirst) this.late = new Set(outbox.entries.map(({ request }) => request));
     outbox.flush();
     this.sendTheme();
     this.backdrop.start();
+  }
+
+  /** Shows what the address names.
+   *
+   * @param {annotator.FrameSummary[]} frames
+   */
+  #open(frames) {
+    this.images.fit();
+    const view = new URLSearchParams(location.search).get("view"); // going to a frame writes the address anew
+    this.go(this.#firstFrame(frames));
+    this.views.openNamed(view);
+    new Sketch(this.state, this.state.workspace.key).restore();
   }
 
   /** The frame named in the address, if it exists; else the first.
@@ -316,56 +334,19 @@ export class Page {
   #saved({ reply_to: request, labels, frame, element, added, note }) {
     const { state, outbox } = this;
     const edit = outbox?.find(request)?.edit;
+    const isLate = request !== null && this.late.delete(request);
     if (request !== null) this.settle(request);
     this.#take(labels, frame, { pending: outbox?.entries ?? [], trouble: null });
     const isDrawing = edit?.kind === "draw" || edit?.kind === "accept";
     const isSelected = edit?.kind === "draw" && state.selected?.element === edit.element_id;
-    if (element && (isSelected || !isDrawing)) {
+    if (element && (isSelected || (!isDrawing && !isLate))) {
       state.set({ selected: { element, side: state.selected?.side ?? "left" } });
     }
     this.effort.saved(added);
     this.notify(note);
     const isStep = edit?.kind === "undo" || edit?.kind === "redo";
-    if (frame.index !== state.frame && isStep) this.go(frame.index);
+    if (frame.index !== state.frame && isStep && !isLate) this.go(frame.index);
     else this.preview();
-  }
-
-  /** Shows an error. An invalid edit is dropped; one that could not be saved stays in the outbox.
-   *
-   * @param {annotator.Events["error"]} event
-   */
-  #refused(event) {
-    const entry = this.outbox?.find(event.reply_to) ?? null;
-    if (!entry) this.notify(event.text, "wrong");
-    else if ("overwritten" in event) this.state.set({ question: overwriting(entry, event, this) });
-    else if ("observation_id" in event) this.state.set({ question: samePlace(entry, event, this) });
-    else if (event.code === "replaced") this.#replaced(entry, event);
-    else this.#refusedEdit(entry, event);
-  }
-
-  /** A backup replaced the labels that an edit is about: asks once for all edits that wait.
-   *
-   * @param {Entry} entry
-   * @param {import("/static/protocol").ErrorEvent} event
-   */
-  #replaced(entry, event) {
-    if (entry.place <= (this.outbox?.agreed ?? 0)) moveToRestored(entry, this);
-    else this.state.set({ question: replacedLabels(entry, event, this) });
-    this.#showPending();
-  }
-
-  /**
-   * @param {Entry} entry
-   * @param {import("/static/protocol").ErrorEvent} event
-   */
-  #refusedEdit(entry, { code, text, retry }) {
-    const staysPending = code !== "invalid" && code !== "not_found";
-    if (!staysPending) this.settle(entry.request);
-    else if (retry) this.outbox?.retry();
-    if (!staysPending || this.state.trouble !== text) this.notify(text, "wrong"); // once, not at every retry
-    this.state.set({ trouble: staysPending ? text : null });
-    this.#showPending();
-    this.preview();
   }
 
   // -- pending edits
@@ -385,7 +366,8 @@ export class Page {
     if (this.state.question?.entry.request === request) this.state.set({ question: null });
   }
 
-  #showPending() {
+  /** Shows the edits that wait. */
+  showPending() {
     this.state.set({ pending: this.outbox?.entries ?? [] });
   }
 
@@ -398,6 +380,7 @@ export class Page {
    * @param {Partial<State>} more
    */
   #take(labels, frame, more = {}) {
+    this.previews.forget();
     const shown = frame && frame.index === this.state.frame ? frame : this.state.labels.frame;
     this.state.set({ received: { ...labels, frames: this.#merged(labels.frames), frame: shown }, ...more });
   }
@@ -448,6 +431,12 @@ export class Page {
     zoomToSelection(this.state, this.images);
   }
 }
+
+/** What the images show, to see whether an edit shows.
+ *
+ * @param {State} state
+ */
+const shownLabels = ({ elements, proposals }) => JSON.stringify([elements, proposals]);
 
 startTheme(() => page.sendTheme());
 const page = new Page();

@@ -82,7 +82,7 @@ export class Panels {
     byId("scene").hidden = !state.aids.map; // a hidden scene is not drawn
     this.parts.forEach((part) => part.show());
     this.cache.show("classes", [state.classId, state.labels.counts, state.workspace.classes], () => this.#classes());
-    this.cache.show("elements", [state.elements, state.proposals, state.nearby, state.selected], () => this.#elements());
+    this.cache.show("elements", [state.elements, state.proposals, state.nearby, state.selected, state.isUnknown], () => this.#elements());
     this.cache.show("card", [state.selected, state.selectedElement, state.preview, state.previewed, state.connected, Boolean(state.drawing)], () => this.#card());
     this.cache.show("hints", hints(state), () => hints(state).map((hint) => hintItem(hint, this.keys)));
     this.#status();
@@ -135,18 +135,19 @@ export class Panels {
     const proposed = state.expected.map((proposal) => line(proposal, [scoreBar(proposal), el("span", { class: "views dim", text: depthOrOrigin(proposal) })]));
     const near = state.nearby.map((element) => line(element, [el("span", { class: "faint", text: whyListed(element) })]));
     const count = (/** @type {unknown[]} */ list, /** @type {string} */ noun) => (list.length ? `${list.length} ${noun}` : "");
+    const unknown = state.isUnknown ? el("p", { class: "empty dim", text: "Offline: the other labels of this frame are not known here. They show when the server is back." }) : null;
     const leftOut = rows.filter(({ left_out: isLeftOut }) => isLeftOut);
-    byId("elements-about").textContent = [`${rows.length - leftOut.length} here`, count(proposed, "proposed"), count(near, "nearby"), count(leftOut, "left out")].filter(Boolean).join(", ");
+    byId("elements-about").textContent = [`${rows.length - leftOut.length} ${unknown ? "drawn here" : "here"}`, count(proposed, "proposed"), count(near, "nearby"), count(leftOut, "left out")].filter(Boolean).join(", ");
     byId("map-about").textContent = String(state.labels.mapped);
     byId("map-about").title = counted(state.labels.mapped, "element");
     const kept = rows.length - leftOut.length;
-    return [...labelled.slice(0, kept), ...proposed, ...near, ...labelled.slice(kept)];
+    return [unknown, ...labelled.slice(0, kept), ...proposed, ...near, ...labelled.slice(kept)];
   }
 
   #card() {
     const { state } = this;
-    const { preview, drawing, selectedElement: element, selectedCandidate: candidate } = state;
-    const card = state.ownPreview?.card ?? null;
+    const { ownPreview: preview, drawing, selectedElement: element, selectedCandidate: candidate } = state;
+    const card = preview?.card ?? null;
     const id = drawing?.class ?? element?.class_id ?? candidate?.class_id;
     if (id === undefined) return [header("Element", "nothing selected"), el("p", { class: "empty dim", text: "Click an element to see its depth, height and errors." })];
     const name = drawing ? preview?.joins ?? `New ${state.classOf(id).name}` : (element ?? candidate)?.name ?? "";
@@ -263,7 +264,7 @@ export class Panels {
         node.textContent = state.preview?.warning || `drawing ${name}${joins}: ${next}`;
       } else {
         const count = state.elements.filter(({ observations, left_out: isLeftOut }) => observations[side] && !isLeftOut).length;
-        node.textContent = count === 1 ? "1 element" : `${count} elements`;
+        node.textContent = state.isUnknown ? "offline: labels not known" : counted(count, "element");
       }
     }
   }

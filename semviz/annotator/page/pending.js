@@ -67,6 +67,33 @@ export function isIdle(elements, edit) {
   return JSON.stringify(withPending(elements, [{ edit }], null)) === JSON.stringify(elements);
 }
 
+/** The pending edits that those among them which undo and redo leave.
+ *
+ * @template {{edit: Edit, request?: string}} Pending
+ * @param {Pending[]} pending
+ */
+export function standing(pending) {
+  /** @type {Pending[]} */
+  let done = [];
+  /** @type {Pending[]} */
+  let undone = [];
+  for (const entry of pending) {
+    const { edit } = entry;
+    if (edit.kind === "undo") {
+      const taken = edit.request ? done.find(({ request }) => request === edit.request) : done.at(-1);
+      done = done.filter((one) => one !== taken);
+      if (taken) undone.push(taken);
+    } else if (edit.kind === "redo") {
+      const again = undone.pop();
+      if (again) done.push(again);
+    } else {
+      done.push(entry);
+      undone = [];
+    }
+  }
+  return done;
+}
+
 /** Returns `elements` with the `pending` edits of `frame` applied. `proposals` name accepted elements;
  * `second` is the frame of the second image, or null for the frame's own right one.
  *
@@ -78,7 +105,7 @@ export function isIdle(elements, edit) {
  */
 export function withPending(elements, pending, frame, proposals = [], second = null) {
   const result = structuredClone(elements);
-  for (const { edit } of pending) {
+  for (const { edit } of standing(pending)) {
     const marks = edit.kind === "draw" ? [edit]
       : edit.kind === "accept" ? edit.marks
         : edit.kind === "accept tracks" ? markedByTracks(edit, frame, proposals, second) : null;

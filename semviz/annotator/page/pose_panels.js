@@ -33,7 +33,7 @@ export class PosePanels {
 
   show() {
     const { known, place, tried, stretches, stretch, trying } = this.poses;
-    const shown = [known?.state, known?.done, known?.total, known?.failure, stretches, place, tried];
+    const shown = [this.state.connected, known?.state, known?.done, known?.total, known?.failure, stretches, place, tried];
     byId("pose-bar").hidden = !trying;
     this.cache.show("pose-bar", [trying], () => this.#bar());
     this.cache.show("pose-wrong", shown, () => this.#wrong());
@@ -72,6 +72,7 @@ export class PosePanels {
   /** What is known while no stretch is on screen. */
   #state() {
     const { known } = this.poses;
+    if ((!known || known.state === "unknown") && !this.state.connected) return [el("p", { text: "No connection. The poses load when the server is back." })];
     if (!known || known.state === "unknown") return [el("p", { text: "The poses have not been compared with the images yet." })];
     if (known.state === "failed") return [el("h3", {}, statusMark("cannot"), "Not compared"), el("p", { text: known.failure })];
     if (known.state === "working" || !known.poses) return [el("h3", {}, "Comparing poses and images"), el("p", { class: "dim", text: progress(known) })];

@@ -15,7 +15,7 @@ export class Poses {
   /**
    * @param {State} state
    * @param {Keys} keys
-   * @param {Pick<Page, "socket" | "go" | "notify" | "pictures" | "views">} page
+   * @param {Pick<Page, "ask" | "socket" | "go" | "notify" | "pictures" | "views">} page
    */
   constructor(state, keys, page) {
     this.state = state;
@@ -33,6 +33,7 @@ export class Poses {
     this.panels = new PosePanels(state, keys, this);
     this.strips = new PoseStrips(this, (frame) => page.go(frame));
     this.images = new PoseImages(state, this);
+    page.socket.on("workspace", () => this.#connected());
     page.socket.on("poses", (event) => this.#received(event));
     page.socket.on("pose_frame", (event) => this.#receivedFrame(event));
     page.socket.on("poses_chosen", ({ text }) => page.notify(text));
@@ -116,12 +117,18 @@ export class Poses {
     else this.page.notify("Offline: the choice was not made. Try again when the server is back.", "wrong");
   }
 
+  /** Connected again: what was requested meanwhile was not sent. */
+  #connected() {
+    this.requested = "";
+    if (this.isShown) this.page.socket.send("show_poses", {});
+  }
+
   /** Asks again about a fault that was answered. */
   askAgain() {
     const { stretch } = this;
     if (!stretch) return;
     const { first, last, subject } = stretch;
-    this.page.socket.send("choose_poses", { choice: "ask", first, last, subject }, uuid7());
+    this.page.ask("choose_poses", { choice: "ask", first, last, subject });
   }
 
   /** Drops the preview. Returns whether there was one. */

@@ -11,6 +11,49 @@ import { badge } from "./widgets.js";
 
 const KEYS = ["Y", "Shift Y"]; // of the first answers
 
+/** Shows an error. An invalid edit is dropped; one that could not be saved stays in the outbox.
+ *
+ * @param {annotator.Events["error"]} event
+ * @param {Page} page
+ */
+export function refused(event, page) {
+  const { outbox, state } = page;
+  const entry = outbox?.find(event.reply_to) ?? null;
+  if (!entry) page.notify(event.text, "wrong");
+  else if ("overwritten" in event) state.set({ question: overwriting(entry, event, page) });
+  else if ("observation_id" in event) state.set({ question: samePlace(entry, event, page) });
+  else if (event.code === "replaced") replaced(entry, event, page);
+  else refusedEdit(entry, event, page);
+}
+
+/** A backup replaced the labels that an edit is about: asks once for all edits that wait.
+ *
+ * @param {Entry} entry
+ * @param {import("/static/protocol").ErrorEvent} event
+ * @param {Page} page
+ */
+function replaced(entry, event, page) {
+  if (entry.place <= (page.outbox?.agreed ?? 0)) moveToRestored(entry, page);
+  else page.state.set({ question: replacedLabels(entry, event, page) });
+  page.showPending();
+}
+
+/**
+ * @param {Entry} entry
+ * @param {import("/static/protocol").ErrorEvent} event
+ * @param {Page} page
+ */
+function refusedEdit(entry, { code, text, retry }, page) {
+  const { outbox, state } = page;
+  const staysPending = code !== "invalid" && code !== "not_found";
+  if (!staysPending) page.settle(entry.request);
+  else if (retry) outbox?.retry();
+  if (!staysPending || state.trouble !== text) page.notify(text, "wrong"); // once, not at every retry
+  state.set({ trouble: staysPending ? text : null });
+  page.showPending();
+  page.preview();
+}
+
 /** Others changed what the edit is about: whose version stays?
  *
  * @param {Entry} entry
@@ -18,7 +61,7 @@ const KEYS = ["Y", "Shift Y"]; // of the first answers
  * @param {Page} page
  * @returns {Question}
  */
-export function overwriting(entry, { text, overwritten, is_deleted: isDeleted, operation, author, time }, page) {
+function overwriting(entry, { text, overwritten, is_deleted: isDeleted, operation, author, time }, page) {
   const mine = () => {
     if (!isDeleted) {
       page.outbox?.overwrite(entry, overwritten);
@@ -61,7 +104,7 @@ function editsOf(entry, page) {
  * @param {Page} page
  * @returns {Question}
  */
-export function samePlace(entry, { text, name, element_id: element, observation_id: id, anchor, end }, page) {
+function samePlace(entry, { text, name, element_id: element, observation_id: id, anchor, end }, page) {
   const same = () => {
     page.settle(entry.request);
     page.select(element, "side" in entry.edit ? entry.edit.side : null);

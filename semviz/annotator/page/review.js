@@ -43,7 +43,7 @@ export class Review {
   /**
    * @param {State} state
    * @param {Keys} keys
-   * @param {Pick<Page, "socket" | "submit" | "go" | "select" | "notify" | "images">} page
+   * @param {Pick<Page, "ask" | "socket" | "submit" | "go" | "select" | "notify" | "images">} page
    */
   constructor(state, keys, page) {
     this.state = state;
@@ -67,6 +67,7 @@ export class Review {
       return;
     }
     const { review } = this.state;
+    if (!this.state.connected) this.page.notify("Offline: the list opens when the server is back.", "wrong");
     if (review?.list_name === list) this.#request(list, review.entry.key, review.place, by);
     else this.#request(list, null, 0, 0);
   }
@@ -104,7 +105,7 @@ export class Review {
 
   /** Builds the map, or stops a running build. */
   build() {
-    this.page.socket.send(this.state.labels.map.building === null ? "build_map" : "stop_map_build", {});
+    this.page.ask(this.state.labels.map.building === null ? "build_map" : "stop_map_build", {});
   }
 
   /** Closes the open entry. Returns whether there was one. */

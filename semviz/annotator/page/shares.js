@@ -45,7 +45,7 @@ export class Shares {
 
   /** Goes to where one labels one's own frames. */
   open() {
-    this.page.socket.send("open_share", {});
+    this.page.ask("open_share", {});
   }
 
   /** @param {SubmitEvent} event */
@@ -59,7 +59,7 @@ export class Shares {
       this.page.notify(`A share in percent, frames as ${this.state.wholeDrive}, and two different people.`, "wrong");
       return;
     }
-    if (this.page.socket.send("assign_share", { frames, percent, people })) field.value = "";
+    if (this.page.ask("assign_share", { frames, percent, people })) field.value = "";
     if (document.activeElement instanceof HTMLElement) document.activeElement.blur(); // keys are commands again
   }
 
@@ -83,7 +83,7 @@ export class Shares {
     return el("div", { class: "share-head" },
       el("b", { text: people.join(" and ") }), el("span", { class: "dim fill", text: `${counted(frames.length, "frame")} blind; reviewed: ${said}; ${merged} merged` }),
       people.includes(author) ? el("button", { class: "small", onclick: () => this.open() }, "Label mine") : null,
-      role === "review" ? el("button", { class: "small", title: "Label them as all others again; both files stay", onclick: () => this.page.socket.send("end_share", { number }) }, "End") : null);
+      role === "review" ? el("button", { class: "small", title: "Label them as all others again; both files stay", onclick: () => this.page.ask("end_share", { number }) }, "End") : null);
   }
 
   /** @param {annotator.ShareView} share */

@@ -2,7 +2,7 @@
 // The state of the page and what follows from it. No DOM here.
 /** @import {annotator} from "/static/protocol" */
 /** @import {Aids, Brightness, Correction, Dragged, Drawing, ElementClass, Entry, Ghost, Proposal, OpenReview, PageLabels, Point, Question, Selected, ShownElement, Side} from "./values.js" */
-import { find, isSettled, swapped, withPending } from "./pending.js";
+import { find, isSettled, standing, swapped, withPending } from "./pending.js";
 import { SIDES } from "./values.js";
 
 export const LEAST_SCORE = 0.05; // of a proposal that was found in the image; below, it is where the element should be
@@ -153,6 +153,11 @@ export class State {
     return frame && frame.index === this.frame ? frame : null;
   }
 
+  /** Whether the labels of the frame on screen are not known, and nobody can be asked. */
+  get isUnknown() {
+    return !this.connected && !this.shownFrame;
+  }
+
   /** Labelled elements of the frame on screen, with pending edits applied. */
   get elements() {
     this.shown ??= this.#elements();
@@ -161,9 +166,8 @@ export class State {
 
   /** @returns {ShownElement[]} */
   #elements() {
-    if (!this.shownFrame) return [];
-    const { elements: saved, proposals } = this.shownFrame;
-    if (this.past) return saved;
+    if (this.past) return this.shownFrame?.elements ?? [];
+    const { elements: saved, proposals } = this.shownFrame ?? { elements: [], proposals: [] };
     const elements = withPending(saved, this.pending, this.frame, proposals, this.second);
     if (this.dragged) {
       const { observation, anchor, end } = this.dragged;
@@ -183,13 +187,14 @@ export class State {
   #proposals() {
     if (!this.shownFrame) return [];
     const observed = new Map(this.elements.map(({ id, observations }) => [id, observations]));
+    const pending = standing(this.pending);
     return this.shownFrame.proposals.map((proposal) => {
       const marks = { ...proposal.marks };
       for (const side of SIDES) {
         const mark = marks[side];
         if (!mark) continue;
         const placed = this.dragged?.observation === mark.id ? this.dragged : this.corrected.get(mark.id);
-        if (observed.get(proposal.id)?.[side] || isSettled(this.pending, mark.id, proposal.id)) delete marks[side];
+        if (observed.get(proposal.id)?.[side] || isSettled(pending, mark.id, proposal.id)) delete marks[side];
         else if (this.swapped.has(mark.id)) marks[side] = swapped(mark);
         else if (placed) marks[side] = { ...mark, anchor: placed.anchor ?? mark.anchor, end: placed.end ?? mark.end };
       }

@@ -180,7 +180,7 @@ export class Team {
       return;
     }
     const person = byId("team-person", HTMLSelectElement).value;
-    if (this.page.socket.send("assign_frames", { person, frames })) field.value = "";
+    if (this.page.ask("assign_frames", { person, frames })) field.value = "";
     field.blur();
   }
 
@@ -238,10 +238,8 @@ export class Team {
     if (shown.some((value, at) => value !== this.shownQueue[at])) {
       this.shownQueue = shown;
       this.rows = listed === "twice" ? [] : this.queue;
-      const top = byId("team-queue").scrollTop;
       this.list.show(this.rows.length);
       if (!this.rows.length) byId("team-queue").replaceChildren(...this.#instead());
-      byId("team-queue").scrollTop = top;
     }
     this.list.mark(this.rows.findIndex(({ frame }) => frame === state.frame));
   }

@@ -66,7 +66,7 @@ export class TopBar {
             : ["saved", `Saved operation ${spaced(operation)}`];
     node.className = `chip ${kind}`;
     node.textContent = text;
-    node.title = CHECKED[labelFile.state];
+    node.title = connected ? CHECKED[labelFile.state] : "The server does not answer. Labels are shown as they were known last; edits are kept in this browser, and saved when it is back.";
   }
 
   /** A bar that stays as long as the label file takes no edits. */

@@ -108,8 +108,8 @@ export class TrackActions {
   resnap() {
     const found = this.#labelled(() => this.resnap());
     if (!found) return;
-    this.tracks.page.notify(`Looking for the edges of ${counted(found.details.labels.length, "view")} …`);
-    this.tracks.page.socket.send("preview_resnap", { element_id: found.row.id });
+    const isSent = this.tracks.page.ask("preview_resnap", { element_id: found.row.id });
+    if (isSent) this.tracks.page.notify(`Looking for the edges of ${counted(found.details.labels.length, "view")} …`);
   }
 
   /** @param {annotator.ReSnapEvent} event */
@@ -358,7 +358,7 @@ export class TrackActions {
    */
   #search(first, last) {
     clearTimeout(this.timer);
-    this.isSearching = this.tracks.page.socket.send("search_track", { element_id: this.tracks.chosenId, first, last });
+    this.isSearching = this.tracks.page.ask("search_track", { element_id: this.tracks.chosenId, first, last });
     this.tracks.state.set({});
   }
 

@@ -72,7 +72,10 @@ export class Tracks {
     });
     page.socket.on("track_proposals", (event) => this.actions.found(event));
     page.socket.on("resnap", (event) => this.actions.snapped(event));
-    page.socket.on("workspace", () => { if (this.isShown || this.table.total !== null) this.#request(); }); // connected again, or with other poses
+    page.socket.on("workspace", () => { // connected again, or with other poses
+      this.actions.isSearching = false;
+      if (this.isShown || this.table.total !== null) this.#request();
+    });
   }
 
   get isShown() {

@@ -17,37 +17,45 @@ export class VirtualList {
     this.make = make;
     this.count = 0;
     this.current = -1;
+    this.scrolledTo = -1;
     this.first = 0;
     this.end = 0;
     box.addEventListener("scroll", () => this.update());
     new ResizeObserver(() => this.update()).observe(box);
   }
 
-  /** Shows `count` rows made anew.
+  /** Shows `count` rows made anew, scrolled as far as the ones before.
    *
    * @param {number} count
    */
   show(count) {
     this.count = count;
-    this.first = this.end = 0;
-    this.box.replaceChildren();
+    this.first = this.end = -1; // no rows of before stand for new ones; an emptied box would scroll to its top
     this.update();
   }
 
-  /** Marks a row, and scrolls to it if it is not visible; -1 marks none.
+  /** Marks a row; -1 marks none. Scrolls to another row than before if it is not visible; who scrolled
+   * away from the marked row is not brought back by a redraw.
    *
    * @param {number} index
    */
   mark(index) {
     this.row(this.current)?.setAttribute("aria-current", "false");
     this.current = index;
-    if (index < 0) return;
+    this.#scrollTo(index);
+    this.update();
+    this.row(index)?.setAttribute("aria-current", "true");
+  }
+
+  /** @param {number} index */
+  #scrollTo(index) {
     const { box, rowPx } = this;
+    if (index === this.scrolledTo || !box.clientHeight) return; // a hidden box scrolls once it is shown
+    this.scrolledTo = index;
+    if (index < 0) return;
     const top = index * rowPx;
     if (top < box.scrollTop) box.scrollTop = top;
     else if (top + rowPx > box.scrollTop + box.clientHeight) box.scrollTop = top + rowPx - box.clientHeight;
-    this.update();
-    this.row(index)?.setAttribute("aria-current", "true");
   }
 
   /** The row at an index, if it is in the page.
@@ -84,7 +92,8 @@ export class VirtualList {
  */
 export function wanted(topPx, heightPx, rowPx, count) {
   if (count <= ALL) return [0, count];
-  const step = Math.floor(topPx / rowPx / AROUND) * AROUND;
+  const lowestPx = Math.max(0, count * rowPx - heightPx); // a longer list was scrolled further
+  const step = Math.floor(Math.min(topPx, lowestPx) / rowPx / AROUND) * AROUND;
   const visible = Math.ceil(heightPx / rowPx);
   return [Math.max(0, Math.min(step - AROUND, count)), Math.min(count, step + visible + 2 * AROUND)];
 }

@@ -18,7 +18,7 @@ from semviz_core.common import limits
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
-from semviz_core.datasets.own_drive.recording import ColorOrder
+from semviz_core.datasets.own_drive.color_orders import ColorOrder, demosaiced
 from semviz_core.datasets.own_drive.rectification import Rectification, RectifiedRig
 
 _PNG_LEVEL = 1
@@ -85,6 +85,8 @@ class ImageFolder:
             image = _read_image(original, recorded.width, recorded.height)
             if self.colors == "bgr":
                 image = np.ascontiguousarray(image[:, :, ::-1])
+            elif self.colors != "rgb":
+                image = demosaiced(image, self.colors)
             if not rectification.is_identity:
                 image = rectification.rectify(image)
             _write_png(path, image, changed_ns)

@@ -31,6 +31,8 @@ _HEAD = 1000
 _WIDTHS = (8, 12, 13, 17)
 _LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 """Of a 4x4 matrix."""
+_UNIT = 1e-3
+"""Of the length of quaternions, to tell them from other numbers."""
 _LEAST_TIME = 1e8
 """Numbers before a pose from here on, or with a fraction, are times."""
 
@@ -113,6 +115,10 @@ def _of_width(
         return _timed(path, "EuRoC", words, values, quaternion or "wxyz", unit, of_body=True)
     if width == 8:
         return _timed(path, "TUM", words, values, quaternion or "xyzw", unit)
+    if width == 7 and np.allclose(np.linalg.norm(values[:, 3:], axis=1), 1.0, atol=_UNIT):
+        order = quaternion or "xyzw"
+        matrices = matrices_of(values[:, :3], values[:, 3:], order, path)
+        return RecordedPoses(path, "TUM without times", matrices, quaternion=order)
     is_whole = width in (16, 17) and bool((values[:, -4:] == _LAST_ROW).all())
     if width in (11, 17) and path.suffix == ".csv" and not is_whole:
         return _timed(path, "EuRoC", words, values, quaternion or "wxyz", unit, of_body=True)
@@ -120,7 +126,8 @@ def _of_width(
         return _of_matrices(path, lines, values, unit)
     raise SemvizError(
         f"{path}: {width} numbers a line; TUM has 8, KITTI 12, KITTI-360 13 or 17, EuRoC's CSV 17; "
-        "of others, name the columns in the first line: time_s,x_m,y_m,z_m,qx,qy,qz,qw"
+        "of others, name the columns in the first line: time_s,x_m,y_m,z_m,qx,qy,qz,qw, or of "
+        "NCLT time_us,northing,easting,down,roll_rad,pitch_rad,yaw_rad"
     )
 
 

@@ -3,8 +3,9 @@
 A table in metres holds positions with quaternions, of the camera as TUM's files, or with headings
 anticlockwise from x, of a body with x ahead, y left and z up. A table of GNSS holds latitude,
 longitude, height, and a heading clockwise from north of such a body; positions become metres east,
-north and up of the first one. Pitch is positive with the nose up, roll with the right side down;
-without them, the body is level.
+north and up of the first one. A table with metres north, east and down, as Oxford RobotCar's, has
+such headings, in radians unless its columns say degrees. Pitch is positive with the nose up, roll
+with the right side down; without them, the body is level.
 """
 
 from dataclasses import replace
@@ -37,6 +38,8 @@ def poses_of_columns(
     ``quaternion`` takes columns for others than their names say. Raise SemvizError if something
     lacks in a table of GNSS, or a cell that is needed is empty.
     """
+    if table.has("northing", "easting", "down", "heading"):
+        return _sorted(table, _of_north_east_down(table))
     if table.has("latitude", "longitude"):
         return _sorted(table, _of_gnss(table))
     if not table.has("x", "y", "z"):
@@ -76,6 +79,22 @@ def _of_headings(table: SensorTable) -> RecordedPoses:
         [_body_axes(table, heading), _whole(table, "x", "y", "z")[:, :, None]], axis=2
     )
     note = f"{table.written['heading']} anticlockwise from x, {_tilt(table)}"
+    return RecordedPoses(table.path, "table", matrices, of_body=True, note=note)
+
+
+def _of_north_east_down(table: SensorTable) -> RecordedPoses:
+    angles = [name for name in ("heading", "pitch", "roll") if name in table]
+    in_radians = {  # were taken for degrees
+        name: np.rad2deg(table.values[name])
+        for name in angles
+        if not is_in_radians(table.written[name]) and "deg" not in table.written[name].lower()
+    }
+    table = replace(table, values={**table.values, **in_radians})
+    north, east, down, heading = _whole(table, "northing", "easting", "down", "heading").T
+    place = np.stack([east, north, -down], axis=1)
+    matrices = np.concatenate([_body_axes(table, np.pi / 2.0 - heading), place[:, :, None]], axis=2)
+    unit = "rad" if "heading" in in_radians or is_in_radians(table.written["heading"]) else "deg"
+    note = f"{table.written['heading']} in {unit} clockwise from north, {_tilt(table)}"
     return RecordedPoses(table.path, "table", matrices, of_body=True, note=note)
 
 

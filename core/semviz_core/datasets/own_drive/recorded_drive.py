@@ -15,6 +15,7 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive import conventions
 from semviz_core.datasets.own_drive.calibration import CalibrationFile
+from semviz_core.datasets.own_drive.color_orders import ColorOrder
 from semviz_core.datasets.own_drive.image_files import ImageTimes, LeftOutImage
 from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
 from semviz_core.datasets.own_drive.recorded_images import (
@@ -28,7 +29,7 @@ from semviz_core.datasets.own_drive.recorded_images import (
     read_world_poses,
     without_pose,
 )
-from semviz_core.datasets.own_drive.recording import ColorOrder, DriveFiles
+from semviz_core.datasets.own_drive.recording import DriveFiles
 from semviz_core.datasets.own_drive.rectification import (
     RectifiedRig,
     rectify_cameras,
@@ -122,6 +123,8 @@ def read_drive(files: DriveFiles) -> RecordedDrive:
         _state_matched(reading, one, its)
     if files.colors == "bgr":
         statements.state("colours", "red and blue are swapped")
+    elif files.colors != "rgb":
+        statements.state("colours", f"raw images, {files.colors}")
     turn = rectified[0].T_left_rectified
     used = [
         (

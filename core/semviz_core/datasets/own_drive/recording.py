@@ -8,7 +8,7 @@ replaces. Each image gets the pose of its time, its name or its number.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
 from semviz_core.datasets.own_drive import conventions, image_files
 from semviz_core.datasets.own_drive.calibration import CalibrationFile
+from semviz_core.datasets.own_drive.color_orders import ColorOrder
 from semviz_core.datasets.own_drive.image_files import SUFFIXES, TimeUnit
 from semviz_core.datasets.own_drive.rectification import MOST_VIEW_DEG
 
@@ -107,9 +108,6 @@ def _parts(name: str) -> tuple[str, ...]:
 
 RATE_HZ = 10.0
 """Of images whose times nobody knows."""
-
-
-ColorOrder: TypeAlias = Literal["rgb", "bgr"]
 
 
 def _silent(what: str, done: int, of: int) -> None:

@@ -12,12 +12,13 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import check_pixels, shown
+from semviz_core.datasets.own_drive.color_orders import BAYER_PATTERNS, demosaiced
 from semviz_core.datasets.own_drive.conventions import RecordedPoses, local_poses, rotations_of
 
 _MOST_APART_NS = 50_000_000
 """Between a fix and the orientation used with it."""
 _CHANNELS = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4}
-_BAYER = ("bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8")
+_BAYER = {f"bayer_{pattern}8": pattern for pattern in BAYER_PATTERNS}
 _PNG, _JPEG = b"\x89PNG", b"\xff\xd8\xff"
 
 
@@ -53,7 +54,6 @@ def image_file(message: Any, topic: str) -> tuple[bytes, str]:
 
 
 def _bgr(message: Any, topic: str, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    import cv2
 
     width, height, step = int(message.width), int(message.height), int(message.step)
     check_pixels(width, height, topic)
@@ -69,14 +69,8 @@ def _bgr(message: Any, topic: str, data: NDArray[np.uint8]) -> NDArray[np.uint8]
             f"{topic}: an image of {len(data)} bytes, expected {step} x {height}: cut off"
         )
     rows = data.reshape(height, step)[:, : width * channels].reshape(height, width, channels)
-    if encoding in _BAYER:
-        codes = {  # OpenCV names the second row's second and third pixel
-            "bayer_rggb8": cv2.COLOR_BayerBG2BGR,
-            "bayer_bggr8": cv2.COLOR_BayerRG2BGR,
-            "bayer_gbrg8": cv2.COLOR_BayerGR2BGR,
-            "bayer_grbg8": cv2.COLOR_BayerGB2BGR,
-        }
-        return np.asarray(cv2.cvtColor(rows[:, :, 0], codes[encoding]), np.uint8)
+    if (pattern := _BAYER.get(encoding)) is not None:
+        return np.ascontiguousarray(demosaiced(rows[:, :, 0], pattern)[:, :, ::-1])
     colours = rows[:, :, [2, 1, 0]] if encoding.startswith("rgb") else rows[:, :, :3]
     return np.ascontiguousarray(colours)
 
