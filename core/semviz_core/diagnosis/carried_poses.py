@@ -7,11 +7,16 @@ if odometry joins it to another one where both say they are. Stretches without s
 tracked with their priors, as a sequence.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from semviz_core.base.frame import Belief, Odometry
-from semviz_core.diagnosis.reference import FrameReference, is_near
+from semviz_core.diagnosis.reference import (
+    FrameReference,
+    ProgressCallback,
+    is_near,
+    no_progress,
+)
 from semviz_core.localization.localizer import Localizer
 from semviz_core.tracking.tracker import TrackedPose, Tracker
 
@@ -32,7 +37,9 @@ class _Carried:
 
 
 def with_carried_poses(
-    cases: Sequence[FrameReference], odometry: Sequence[Odometry | None]
+    cases: Sequence[FrameReference],
+    odometry: Sequence[Odometry | None],
+    watch: ProgressCallback = no_progress,
 ) -> list[FrameReference]:
     """Return all frames; those that are not ok, or that others contradict, with a carried pose.
 
@@ -40,7 +47,8 @@ def with_carried_poses(
     of each from the one before.
     """
     own = {row: belief for row, case in enumerate(cases) if (belief := _own(case)) is not None}
-    known = {row: own[row] for row in _agreeing(own, _tracked(cases, odometry, own))}
+    watched = watch(cases, "carrying poses by odometry", len(cases))
+    known = {row: own[row] for row in _agreeing(own, _tracked(watched, odometry, own))}
     for rows in _stretches(odometry):
         if not known.keys() & set(rows):
             known |= _searched(cases, odometry, rows)
@@ -59,7 +67,7 @@ def _own(case: FrameReference) -> Belief | None:
 
 
 def _tracked(
-    cases: Sequence[FrameReference],
+    cases: Iterable[FrameReference],
     odometry: Sequence[Odometry | None],
     known: Mapping[int, Belief],
 ) -> dict[int, _Carried]:

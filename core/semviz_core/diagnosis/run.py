@@ -201,7 +201,7 @@ def diagnose_run(
         causes = [cause for cause in causes if cause.kind not in OF_CALIBRATION]
     blind = all(case.truth is None for case in cases)
     if odometry is not None and blind and not causes and calibration is None:
-        cases = with_carried_poses(cases, odometry)
+        cases = with_carried_poses(cases, odometry, watch)
         positions = _with_pose(cases)
         compared = [cases[position] for position in positions]
     for cause in causes:
