@@ -134,6 +134,16 @@ def test_matches_are_of_known_points_and_one_class_where_it_counts(
         assert (sample.seen_class[i] == sample.mapped_class[j]).all()
 
 
+@pytest.mark.parametrize("name", POINT_MODELS)
+def test_a_frame_without_elements_has_no_match(samples: list[Sample], name: str) -> None:
+    network = make_network(POINT_MODELS[name], 4).eval()
+    seen = ("ray", "bottom_ray", "sigma_rad", "score", "seen_class", "seen_known")
+    blind = replace(samples[0], **{part: getattr(samples[0], part)[:0] for part in seen})
+    pairs = network.pairs_of(blind)
+    assert pairs.shape == (0, 2)
+    assert "0 points are matched" in str(epnp_ransac(blind, CAMERA, pairs))
+
+
 def test_bearings_are_level(samples: list[Sample]) -> None:
     level = level_bearings(Batch.of(samples)).numpy()
     for sample, bearing in zip(samples, level, strict=True):

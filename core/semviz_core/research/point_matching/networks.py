@@ -48,6 +48,8 @@ class PointNetwork(nn.Module):
 
     def pairs_of(self, sample: Sample) -> IntArray:
         """Return the matches (k, 2) of a frame, rows of observed and mapped points."""
+        if not len(sample.ray) or not len(sample.point_m):
+            return np.zeros((0, 2), np.int64)
         with torch.no_grad():
             matches = self.matches(Batch.of([sample]))[0].numpy()
         return np.argwhere(matches)
