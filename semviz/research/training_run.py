@@ -352,6 +352,13 @@ TASKS = {
     "paper-no-semantics": ("paper.training", simulated_samples.PAPER_DISTRIBUTION),
     "bpnpnet": ("paper.training", simulated_samples.PAPER_DISTRIBUTION),
     "bpnpnet-semantic": ("paper.training", simulated_samples.PAPER_DISTRIBUTION),
+    "point-2d3d-matchnet": ("point_matching.training", simulated_samples.PAPER_20M_DISTRIBUTION),
+    "point-deepi2p": ("point_matching.training", simulated_samples.PAPER_20M_DISTRIBUTION),
+    "semantic-point-2d3d-matchnet": (
+        "point_matching.training",
+        simulated_samples.PAPER_20M_DISTRIBUTION,
+    ),
+    "semantic-point-deepi2p": ("point_matching.training", simulated_samples.PAPER_20M_DISTRIBUTION),
     "matcher": ("pair_matcher.training", simulated_samples.LEARNED_DISTRIBUTION),
     "verifier": ("training.verifier", simulated_samples.HARD_DISTRIBUTION),
 }
