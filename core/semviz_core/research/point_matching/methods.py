@@ -72,15 +72,15 @@ def epnp_ransac(sample: Sample, camera: Camera, pairs: IntArray, seed: int = 0) 
     ray, point_m = sample.ray[pairs[:, 0]], sample.point_m[pairs[:, 1]]
     pixel = (ray / ray[:, 2:] @ camera.K.T)[:, :2]
     cv2.setRNGSeed(seed)
-    options = {"iterationsCount": TRIALS, "reprojectionError": THRESHOLD_PX}
     try:
         found, turn, translation, inliers = cv2.solvePnPRansac(
-            point_m, pixel, camera.K, None, flags=cv2.SOLVEPNP_EPNP, **options
-        )
+            point_m, pixel, camera.K, None, iterationsCount=TRIALS,
+            reprojectionError=THRESHOLD_PX, flags=cv2.SOLVEPNP_EPNP,
+        )  # fmt: skip
     except cv2.error:  # degenerate points
         found = False
-    found = found and np.isfinite([turn, translation]).all()
-    if not found or inliers is None or len(inliers) < LEAST_MATCHES:
+    is_finite = found and bool(np.isfinite([turn, translation]).all())
+    if not is_finite or inliers is None or len(inliers) < LEAST_MATCHES:
         return f"No pose brings {LEAST_MATCHES} of the {len(pairs)} matches within the threshold."
     rotation = nearest_rotation(np.asarray(cv2.Rodrigues(turn)[0], np.float64))
     pose = Pose(rotation, np.asarray(translation, np.float64).ravel())

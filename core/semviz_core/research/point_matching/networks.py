@@ -241,11 +241,12 @@ class DeepI2P(PointNetwork):
 
     def matches(self, batch: Batch) -> Tensor:
         """Of the mapped points at one observed point, the most probable matches."""
-        inside, cell = self(batch)
+        logits: tuple[Tensor, Tensor] = self(batch)
+        inside, cell = logits
         probability = cell.softmax(dim=2)
         is_likeliest = functional.one_hot(cell.argmax(dim=2), cell.shape[2]).bool()
         is_inside = inside[..., 1] > inside[..., 0]
         chosen = is_likeliest & is_inside[..., None] & batch.mapped[..., None]
         probability = (probability * chosen)[..., :-1].transpose(1, 2)  # (b, m, n)
-        best = functional.one_hot(probability.argmax(dim=2), probability.shape[2])
-        return best.bool() & (probability > 0.0)
+        best = functional.one_hot(probability.argmax(dim=2), probability.shape[2]).bool()
+        return best & (probability > 0.0)
