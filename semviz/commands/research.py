@@ -233,7 +233,9 @@ class TrainCommand:
     Example: 'semviz train verifier --out trained'."""
 
     model: Annotated[Positional[str], arg(metavar="MODEL")]
-    """paper, paper-no-semantics, bpnpnet, bpnpnet-semantic, matcher or verifier."""
+    """paper, paper-no-semantics, bpnpnet, bpnpnet-semantic, matcher, verifier, and for suite
+    paper-20m point-2d3d-matchnet, point-deepi2p, semantic-point-2d3d-matchnet or
+    semantic-point-deepi2p."""
     out: Annotated[Path, arg(metavar="DIR")]
     """Training folder: checkpoint, losses as JSON lines and as a plot."""
     samples: parsing.OptionalInt = None

@@ -28,6 +28,7 @@ from semviz_core.base.weights import NetworkWeights
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.detection.network import HeatmapModel, load_shipped_model
+from semviz_core.research.point_matching.methods import POINT_MODELS
 from semviz_core.research.training import simulated_samples
 from semviz_core.research.training.checkpoint import NETWORK, Checkpoint
 from semviz_core.research.training.detector import DetectorTask, threshold_sweep
@@ -352,6 +353,9 @@ TASKS = {
     "paper-no-semantics": ("paper.training", simulated_samples.PAPER_DISTRIBUTION),
     "bpnpnet": ("paper.training", simulated_samples.PAPER_DISTRIBUTION),
     "bpnpnet-semantic": ("paper.training", simulated_samples.PAPER_DISTRIBUTION),
+    **dict.fromkeys(
+        POINT_MODELS, ("point_matching.training", simulated_samples.PAPER_20M_DISTRIBUTION)
+    ),
     "matcher": ("pair_matcher.training", simulated_samples.LEARNED_DISTRIBUTION),
     "verifier": ("training.verifier", simulated_samples.HARD_DISTRIBUTION),
 }

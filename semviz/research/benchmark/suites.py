@@ -21,11 +21,18 @@ from semviz_core.research.evaluation.methods import MatchedProblem, make_matched
 from semviz_core.research.evaluation.roads import BenchmarkRoad, kitti_road, simulated_road
 from semviz_core.research.paper import true_costs
 from semviz_core.research.paper.matcher import MODELS
+from semviz_core.research.point_matching import methods as point_methods
+from semviz_core.research.point_matching.methods import POINT_MODELS, load_point_method
 
 Kind = Literal["single", "matched", "sequence"]
 """Kinds of problems: single frames, single frames whose matches are given, and sequences."""
-_SINGLE = {**methods.METHODS, **baselines.METHODS, **true_costs.METHODS}
-_FIRST = [name for name in (*EFFORTS, *MODELS) if name in _SINGLE]
+_SINGLE = {
+    **methods.METHODS,
+    **point_methods.METHODS,
+    **baselines.METHODS,
+    **true_costs.METHODS,
+}
+_FIRST = [name for name in (*EFFORTS, *MODELS, *POINT_MODELS) if name in _SINGLE]
 KNOWN: dict[Kind, Mapping[str, Callable[[], Any]]] = {
     "single": {name: _SINGLE[name] for name in dict.fromkeys((*_FIRST, *_SINGLE))},
     "matched": {**methods.MATCHED_METHODS, **baselines.MATCHED_METHODS},
@@ -70,16 +77,22 @@ def choose_methods(text: str | None, suites: Sequence["Suite"]) -> Chosen:
 def make_method(suite: "Suite", name: str) -> Any:
     """Return the method for a suite: a Method, MatchedMethod or SequenceMethod.
 
-    Each is made once per process. The paper's networks are those trained for the suite, if any.
+    Each is made once per process. Networks of the paper's table are those trained for the suite,
+    if any.
     """
-    of_suite = suite.networks if name in MODELS else ""
+    of_suite = suite.networks if name in MODELS or name in POINT_MODELS else ""
     return _made(suite.kind, name, of_suite)
 
 
 @cache
 def _made(kind: Kind, name: str, networks: str) -> Any:
+    weights = shipped_weights(f"{name}-{networks}")
+    if name in POINT_MODELS:
+        if not networks:
+            raise SemvizError("its network is trained for suite paper-20m only")
+        return load_point_method(name, weights)
     if networks:
-        return methods.LocalizerMethod(name, weights=shipped_weights(f"{name}-{networks}"))
+        return methods.LocalizerMethod(name, weights=weights)
     return KNOWN[kind][name]()
 
 
