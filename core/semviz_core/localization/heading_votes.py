@@ -69,9 +69,11 @@ GATE_SIGMAS, GATE_WIDER_M = 3.0, 1.0
 """Radius of the search around the fix: so many sigmas plus a margin."""
 WIDE_GATE_M, OFF_ROAD_M = 120.0, 30.0
 """If the gate is wider than the first, only positions this near to the road are searched."""
-CROWDED, LEAST_STEP_M = 150.0, 1.8
+CROWDED, LEAST_STEP_M = 240.0, 1.8
 """With more elements than this within reach, positions are as dense as the elements, down to this
-step: else chance matches agree with every heading."""
+step: else chance matches agree with every heading. In proportion fewer candidates are kept, down
+to LEAST_POLISHED: each takes so much longer."""
+LEAST_POLISHED = 50
 ORDINARY_BLOCKS, MOST_TIMES = 150.0, 6.0
 """In a search of more blocks than the first, up to so many times the candidates are kept."""
 
@@ -105,7 +107,7 @@ def vote_headings(
     reach_m = min(proposing_reach(problem), FARTHEST_M)
     weights = vote_weights(view, effort.step_m)
     voters = room_for_voters(len(problem.seen), 0)
-    wanted = _wanted(effort, int(blocks.sum()))
+    wanted = _wanted(problem, effort, int(blocks.sum()))
     room = 4 * wanted + BINS
     pool = _Pool(np.zeros((room, 6)), np.full(room, -np.inf))
     count, evaluated, least, middle = 0, 0, 0.0, len(blocks) // 2
@@ -143,10 +145,12 @@ def vote_headings(
 
 
 @compiled
-def _wanted(effort: Effort, blocks: int) -> int:
-    """Return how many candidates to keep: more among many positions, where more are false."""
-    more = np.sqrt(blocks / ORDINARY_BLOCKS)
-    return int(effort.polished * min(max(more, 1.0), MOST_TIMES))
+def _wanted(problem: PoseProblem, effort: Effort, blocks: int) -> int:
+    """Return how many candidates to keep: more among many positions, where more are false, and
+    fewer in a crowded map."""
+    more = min(max(np.sqrt(blocks / ORDINARY_BLOCKS), 1.0), MOST_TIMES)
+    fewer = max(elements_in_reach(problem) / CROWDED, 1.0)
+    return int(more * max(effort.polished / fewer, min(LEAST_POLISHED, effort.polished)))
 
 
 @compiled

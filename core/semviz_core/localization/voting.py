@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from semviz_core.common.arrays import BoolArray, IntArray
 from semviz_core.common.jit import compiled
 from semviz_core.localization.problem import Record, RecordArray
-from semviz_core.localization.upright import FALSE_SLOPE, FALSE_TURN, HIDDEN_CHI2, UprightView
+from semviz_core.localization.upright import (
+    FALSE_SLOPE,
+    FALSE_TURN,
+    GIVEN_ANCHOR,
+    HIDDEN_CHI2,
+    UprightView,
+    slope_variances,
+)
 
 NEAREST_M, FARTHEST_M = 2.5, 60.0
 BINS = 180
@@ -31,10 +38,9 @@ _RISE, _SLOPE = (3, 5), (4, 6)  # of anchor and end, over the sigma of their dif
 _GAIN, _HIDDEN_GAIN = 7, 8  # nats at best: with its bottom visible, and hidden
 _ROWS = 9
 _LANES = 8
-"""Bins that a vote raises at once."""
+"""Bins that a vote raises at once; whole vectors, of which the last bins may change nothing."""
 _MARGIN = 32
 """Bins on either side of a turn, which votes across north reach into."""
-_MOST_SPREAD = _MARGIN - _LANES - 1
 _DISTANCES = int(FARTHEST_M) + 1
 
 # Constants of single precision, with which the loops below stay in it.
@@ -43,7 +49,7 @@ _TINY, _TURN, _START = np.float32(1e-30), np.float32(BINS), np.float32(_MARGIN +
 _LEAST_SQUARE, _MOST_CHI2 = np.float32(NEAREST_M**2), np.float32(MOST_SIGMAS**2)
 _HIDDEN_SIGMAS = np.float32(-np.sqrt(HIDDEN_CHI2))
 _HEADING_VARIANCE = np.float32((HEADING_SIGMA_RAD / BIN_RAD) ** 2)
-_WIDEST = np.float32(_MOST_SPREAD)
+_WIDEST = np.float32(_MARGIN - 2)
 _A, _B, _C, _D, _E = (
     np.float32(factor / BIN_RAD)  # Abramowitz and Stegun 1964, 4.4.49: exact to 1e-5 rad
     for factor in (0.9998660, -0.3302995, 0.1801410, -0.0851330, 0.0208351)
@@ -53,8 +59,11 @@ _A, _B, _C, _D, _E = (
 class Weights(NamedTuple):
     """Sigmas and gains of matches by whole metres of distance."""
 
-    inverse_sigma: Float32Array  # (m, _DISTANCES, 2) of the slopes of anchor and end
+    inverse_sigma: (
+        Float32Array  # (m, _DISTANCES, 2) of the slope of the anchor; of the end given it
+    )
     slope_gain: Float32Array  # (m, _DISTANCES, 2) nats at best
+    common: Float32Array  # (m, _DISTANCES) share of the anchor's error that its end has as well
     turn_gain: Float32Array  # (_DISTANCES,)
     position_variance: np.float32  # of a position, times the square of metres per bin
 
@@ -71,8 +80,8 @@ class Voters(NamedTuple):
     gain: Float32Array  # (room,)
     heading: Float32Array  # (room,) bins
     voting: IntArray  # (room,) rows with a gain
-    best: Float32Array  # (BINS + 2 _MARGIN,) the best gain of an observed element
-    ramp: Float32Array  # (_MARGIN,) 0, 1, 2, ...
+    best: Float32Array  # (BINS + 2 _MARGIN + _LANES,) the best gain of an observed element
+    ramp: Float32Array  # (2 _MARGIN,) 0, 1, 2, ...
     total: Float32Array  # (BINS,) the sum of the elements' best gains: the result
 
 
@@ -80,24 +89,22 @@ class Voters(NamedTuple):
 def vote_weights(view: UprightView, step_m: float) -> Weights:
     """Return sigmas and gains of matches on a grid of ``step_m``."""
     m = len(view.seen)
-    inverse_sigma = np.zeros((m, _DISTANCES, 2), dtype=np.float32)
-    slope_gain = np.zeros((m, _DISTANCES, 2), dtype=np.float32)
+    inverse_sigma = np.empty((m, _DISTANCES, 3), dtype=np.float32)
+    slope_gain = np.empty((m, _DISTANCES, 3), dtype=np.float32)
+    common = np.empty((m, _DISTANCES), dtype=np.float32)
     turn_gain = np.empty(_DISTANCES, dtype=np.float32)
     for row in range(_DISTANCES):
-        near = 1.0 / max(row + 0.5, NEAREST_M)
-        turn_gain[row] = FALSE_TURN - 0.5 * np.log(
-            (STEP_SIGMAS * step_m * near) ** 2 + HEADING_SIGMA_RAD**2
-        )
+        near, position_m = 1.0 / max(row + 0.5, NEAREST_M), STEP_SIGMAS * step_m
+        turn_gain[row] = FALSE_TURN - 0.5 * np.log((position_m * near) ** 2 + HEADING_SIGMA_RAD**2)
         for i in range(m):
-            own_variance = view.seen[i].slope_sigma ** 2 + view.up_sigma_rad**2
-            for end in range(2):
-                if view.seen[i].known[end]:
-                    position = STEP_SIGMAS * step_m * view.seen[i].slope[end]
-                    square = (HEIGHT_SIGMA_M**2 + position * position) * near * near
-                    inverse_sigma[i, row, end] = 1.0 / np.sqrt(own_variance + square)
-                    slope_gain[i, row, end] = FALSE_SLOPE - 0.5 * np.log(own_variance + square)
-    variance = np.float32((STEP_SIGMAS * step_m / BIN_RAD) ** 2)
-    return Weights(inverse_sigma, slope_gain, turn_gain, variance)
+            variance, common[i, row] = slope_variances(
+                view.seen[i], near, view.up_sigma_rad, position_m, HEIGHT_SIGMA_M
+            )
+            for k in range(3):
+                inverse_sigma[i, row, k] = 1.0 / np.sqrt(variance[k])
+                slope_gain[i, row, k] = FALSE_SLOPE - 0.5 * np.log(variance[k])
+    position_variance = np.float32((STEP_SIGMAS * step_m / BIN_RAD) ** 2)
+    return Weights(inverse_sigma, slope_gain, common, turn_gain, position_variance)
 
 
 @compiled
@@ -110,8 +117,8 @@ def room_for_voters(m: int, room: int) -> Voters:
         np.empty(room, dtype=np.float32),
         np.empty(room, dtype=np.float32),
         np.empty(room, dtype=np.int64),
-        np.empty(BINS + 2 * _MARGIN, dtype=np.float32),
-        np.arange(_MARGIN).astype(np.float32),
+        np.empty(BINS + 2 * _MARGIN + _LANES, dtype=np.float32),
+        np.arange(2 * _MARGIN).astype(np.float32),
         np.empty(BINS, dtype=np.float32),
     )
 
@@ -145,10 +152,14 @@ def fill_voters(
                 value[_RISE[end], count] = value[_SLOPE[end], count] = _0
                 hidden_gain = gain + setting.log_hidden
                 if seen.known[end] and mapped.known[end]:
-                    inverse_sigma = weights.inverse_sigma[i, row, end]
-                    value[_RISE[end], count] = (mapped.height_m[end] - z) * inverse_sigma
-                    value[_SLOPE[end], count] = seen.slope[end] * inverse_sigma
-                    gain += weights.slope_gain[i, row, end]
+                    rise, slope, k = mapped.height_m[end] - z, seen.slope[end], end
+                    if end == 1 and seen.known[0] and mapped.known[0]:
+                        common, k = weights.common[i, row], GIVEN_ANCHOR
+                        rise -= common * (mapped.height_m[0] - z)
+                        slope -= common * seen.slope[0]
+                    value[_RISE[end], count] = rise * weights.inverse_sigma[i, row, k]
+                    value[_SLOPE[end], count] = slope * weights.inverse_sigma[i, row, k]
+                    gain += weights.slope_gain[i, row, k]
                     if end == 1 and setting.hidden_bottoms > 0.0:
                         gain += setting.log_visible
             value[_GAIN, count], value[_HIDDEN_GAIN, count] = gain, hidden_gain
@@ -261,10 +272,11 @@ def _add_vote(
     spread = min(np.sqrt(variance * min(_2 * gain, _MOST_CHI2)), _WIDEST)
     first = int(heading - spread + _START)
     off, weight = np.float32(first - _MARGIN) + _HALF - heading, _HALF / variance
-    raised = best[first : first + ((int(spread - off) + _LANES) & -_LANES)]
+    count = int(spread - off) + 1
+    raised, last = best[first : first + ((count + _LANES - 1) & -_LANES)], np.float32(count)
     for k in range(len(raised)):
         away = off + ramp[k]
-        value = gain - away * away * weight
+        value = gain - away * away * weight if ramp[k] < last else _0
         raised[k] = value if value > raised[k] else raised[k]
 
 
