@@ -70,10 +70,10 @@ def test_pairs_are_one_to_one_and_worth_their_gain(gain: np.ndarray) -> None:
     assert (gain[match < 0][:, free] <= 0.0).all()  # none left out that would have gained
 
 
-@pytest.mark.parametrize("with_gravity", [False, True])
-def test_gravity_is_as_sure_as_it_says(with_gravity: bool) -> None:
+@pytest.mark.parametrize(("with_gravity", "false"), [(False, 0.0), (True, 0.0), (True, 1.0)])
+def test_gravity_is_as_sure_as_it_says(with_gravity: bool, false: float) -> None:
     chi2 = []
-    for problem in frames(200, Difficulty(with_gravity=with_gravity)):
+    for problem in frames(200, Difficulty(with_gravity=with_gravity, clutter_share=false)):
         known = known_of(problem)
         up, covariance = gravity(scene_of(problem), known)
         assert np.linalg.norm(up) == pytest.approx(1.0)

@@ -139,6 +139,8 @@ def _best_gain(
     largest = 0.0
     for entry in range(mapped.first, mapped.last):
         i = candidate[entry]
+        if not _aligned(view.seen[i], direction):
+            continue
         gain = approximate_gain(setting, view, view.seen[i], mapped, direction, pose, sigmas)
         largest = max(largest, gain)
         best_of_seen[i] = max(best_of_seen[i], gain)
@@ -158,6 +160,13 @@ def direction_to(ahead: float, left: float, sigmas: PoseSigmas) -> Direction:
     near = 1.0 / max(np.sqrt(ahead * ahead + left * left), 1.0)
     variance = (sigmas.position_m * near) ** 2 + sigmas.heading_rad**2
     return Direction(ahead * near, left * near, near, variance)
+
+
+@compiled
+def _aligned(seen: Record, direction: Direction) -> bool:
+    """Return whether the azimuths of a pair agree: few do, and the call is short."""
+    off = seen.azimuth[0] * direction.left - seen.azimuth[1] * direction.ahead
+    return off * off <= GATE_CHI2 * direction.variance
 
 
 @compiled
@@ -277,6 +286,8 @@ def _fill_pairs(
         best, best_gain = -1, 0.0
         for entry in range(elements[j].first, elements[j].last):
             seen = view.seen[candidate[entry]]
+            if not _aligned(seen, direction):
+                continue
             gain = approximate_gain(setting, view, seen, elements[j], direction, pose, sigmas)
             if gain > best_gain:
                 best, best_gain = candidate[entry], gain

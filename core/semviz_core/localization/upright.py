@@ -28,9 +28,12 @@ ASSUMED_UP = np.array([0.0, -1.0, 0.0])
 ASSUMED_UP_SIGMA_RAD = float(np.deg2rad(4.0))
 POLE_LEAN_RAD = float(np.deg2rad(1.0))
 """Standard deviation of the lean of poles; limits the accuracy of gravity derived from them."""
-CAUCHY_SIGMAS = 2.0
-"""Poles that lean by more count less (Cauchy weights)."""
-DOUBTFUL_UP_RAD = float(np.deg2rad(1.5))
+FALSE_POLES, FALSE_LEAN_RAD = 0.3, 0.15
+"""Share of observed poles that are none, and how far these lean to either side."""
+GRID_SIGMAS, GRID_STEP, GRID_LEAST, GRID_MOST = 3.2, 0.7, 5, 20
+"""Tilts tried: up to so many sigmas of the prior, by this share of a pole's lean, and the least and
+largest number of steps to either side."""
+DOUBTFUL_UP_RAD = float(np.deg2rad(1.8))
 """If up is less certain than this about an axis, three angles about that axis are searched."""
 TILT_SIGMAS = 1.2
 """Distance of the outer two of the three angles from the middle one."""
@@ -101,35 +104,56 @@ def likely_ups(problem: PoseProblem, prior: PriorRecord) -> tuple[FloatArray, fl
 def gravity(problem: PoseProblem, prior: PriorRecord) -> tuple[FloatArray, FloatArray]:
     """Return up (3,) in camera coordinates, and its covariance (2, 2) in rad^2 along ``across_up``.
 
-    This fits the vertical vanishing point, which lies in the plane of every observed pole, and the
-    prior's up by reweighted least squares, since false poles may lean by any angle.
+    They are the mean and covariance of the posterior over tilts, on a grid. The vertical vanishing
+    point lies in the plane of every observed pole, unless the pole is false. Where poles disagree,
+    the covariance is as large as their disagreement.
     """
-    start, across = prior.value.up_camera, prior.value.across_up
-    focal, information = problem.setting.K[0, 0], 1.0 / prior.value.up_sigma_rad**2
-    tilt, covariance = np.zeros(2), np.zeros((2, 2))
-    for _ in range(3):
-        a = d = information
-        b = gradient0 = gradient1 = 0.0
-        for i in range(len(problem.seen)):
-            seen = problem.seen[i]
-            if not seen.is_line:
-                continue
-            length = max(np.sqrt(((seen.end_ray - seen.anchor_ray) ** 2).sum()), 1e-4)
-            offset = (seen.plane * start).sum()
-            j0, j1 = (seen.plane * across[0]).sum(), (seen.plane * across[1]).sum()
-            left = offset + j0 * tilt[0] + j1 * tilt[1]
-            variance = seen.variance_px2[0] / (focal * length) ** 2 + POLE_LEAN_RAD**2
-            weight = 1.0 / (variance + left * left / CAUCHY_SIGMAS**2)
-            a, b, d = a + weight * j0 * j0, b + weight * j0 * j1, d + weight * j1 * j1
-            gradient0 += weight * j0 * offset
-            gradient1 += weight * j1 * offset
-        determinant = a * d - b * b
-        covariance[0, 0], covariance[1, 1] = d / determinant, a / determinant
-        covariance[0, 1] = covariance[1, 0] = -b / determinant
-        tilt[0] = -(covariance[0, 0] * gradient0 + covariance[0, 1] * gradient1)
-        tilt[1] = -(covariance[1, 0] * gradient0 + covariance[1, 1] * gradient1)
-    up = start + tilt[0] * across[0] + tilt[1] * across[1]
+    start, across, sigma = prior.value.up_camera, prior.value.across_up, prior.value.up_sigma_rad
+    widest = GRID_SIGMAS * sigma
+    half = min(max(int(np.ceil(widest / (GRID_STEP * POLE_LEAN_RAD))), GRID_LEAST), GRID_MOST)
+    tilt = widest / half * np.arange(-half, half + 1)
+    nats = np.empty((len(tilt), len(tilt)))
+    for row in range(len(tilt)):
+        for column in range(len(tilt)):
+            nats[row, column] = -0.5 * (tilt[row] ** 2 + tilt[column] ** 2) / sigma**2
+    for i in range(len(problem.seen)):
+        if problem.seen[i].is_line:
+            _add_pole(problem.seen[i], problem.setting.K[0, 0], start, across, tilt, nats)
+    weight = np.exp(nats - nats.max())
+    weight /= weight.sum()
+    of_row, of_column = weight.sum(axis=1), weight.sum(axis=0)
+    mean = (of_row * tilt).sum(), (of_column * tilt).sum()
+    covariance = np.empty((2, 2))
+    covariance[0, 0] = (of_row * (tilt - mean[0]) ** 2).sum()
+    covariance[1, 1] = (of_column * (tilt - mean[1]) ** 2).sum()
+    covariance[0, 1] = covariance[1, 0] = (
+        (tilt - mean[0]) * (weight * (tilt - mean[1])).sum(axis=1)
+    ).sum()
+    up = start + mean[0] * across[0] + mean[1] * across[1]
     return up / np.sqrt((up**2).sum()), covariance
+
+
+@compiled
+def _add_pole(
+    seen: Record,
+    focal: float,
+    start: FloatArray,
+    across: FloatArray,
+    tilt: FloatArray,
+    nats: FloatArray,
+) -> None:
+    """Add the log-likelihood of an observed pole over that of a false one, by tilts."""
+    length = max(np.sqrt(((seen.end_ray - seen.anchor_ray) ** 2).sum()), 1e-4)
+    offset = (seen.plane * start).sum()
+    first, second = (seen.plane * across[0]).sum(), (seen.plane * across[1]).sum()
+    variance = seen.variance_px2[0] / (focal * length) ** 2 + POLE_LEAN_RAD**2
+    of_true = (
+        (1.0 - FALSE_POLES) / FALSE_POLES * 2.0 * FALSE_LEAN_RAD / np.sqrt(2.0 * np.pi * variance)
+    )
+    for row in range(len(tilt)):
+        for column in range(len(tilt)):
+            left = offset + first * tilt[row] + second * tilt[column]
+            nats[row, column] += np.log(1.0 + of_true * np.exp(-0.5 * left * left / variance))
 
 
 @compiled
@@ -255,23 +279,49 @@ def compare_slopes(
     ``tilt_rad`` more than the level frame. Return chi2, the product of its variances, the nats of
     bottoms being hidden or visible, and the number of slopes.
     """
-    chi2, product, nats, count = 0.0, 1.0, 0.0, 0
-    own_variance = seen.slope_sigma**2 + up_sigma_rad**2
+    chi2, product, nats, count, off_anchor = 0.0, 1.0, 0.0, 0, 0.0
+    variance, common = slope_variances(seen, near, up_sigma_rad, position_m, height_m)
     for end in range(2):
         if not (seen.known[end] and mapped.known[end]):
             continue
-        slope = tilted_slope(seen, end, tilt_rad)
-        off = (mapped.height_m[end] - camera_height_m) * near - slope
-        slope_variance = own_variance + (height_m**2 + (position_m * slope) ** 2) * near * near
+        off = (mapped.height_m[end] - camera_height_m) * near - tilted_slope(seen, end, tilt_rad)
+        of_end = variance[end]
+        if end == 0:
+            off_anchor = off
+        elif count:
+            off, of_end = off - common * off_anchor, variance[GIVEN_ANCHOR]
         if end == 1 and setting.hidden_bottoms > 0.0:
-            if off < 0.0 and off * off > HIDDEN_CHI2 * slope_variance:
+            if off < 0.0 and off * off > HIDDEN_CHI2 * of_end:
                 nats += setting.log_hidden
                 continue
             nats += setting.log_visible
-        chi2 += off * off / slope_variance
-        product *= slope_variance
+        chi2 += off * off / of_end
+        product *= of_end
         count += 1
     return chi2, product, nats, count
+
+
+GIVEN_ANCHOR = 2
+"""Index of the variance of an end given its anchor, after those of anchor and end."""
+
+
+@compiled
+def slope_variances(
+    seen: Record, near: float, up_sigma_rad: float, position_m: float, height_m: float
+) -> tuple[tuple[float, float, float], float]:
+    """Return the variances of the slopes of an element 1 / ``near`` metres away (of its anchor, of
+    its end, and of its end given its anchor), and the share of the anchor's error that the end has.
+
+    Errors of up, position and height move both ends alike, so the distance between them, which
+    depends on none of these, says more than either.
+    """
+    own = seen.slope_sigma**2 + 0.5 * (height_m * near) ** 2
+    shared = up_sigma_rad**2 + 0.5 * (height_m * near) ** 2
+    by_position = (position_m * near) ** 2
+    anchor = own + shared + by_position * seen.slope[0] ** 2
+    end = own + shared + by_position * seen.slope[1] ** 2
+    covariance = shared + by_position * seen.slope[0] * seen.slope[1]
+    return (anchor, end, end - covariance * covariance / anchor), covariance / anchor
 
 
 @compiled

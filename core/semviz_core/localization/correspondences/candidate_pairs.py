@@ -208,7 +208,7 @@ def _up(sample: Sample) -> tuple[FloatArray, float]:
     tilt_x = tilt_y = 0.0
     for _ in range(3):
         left = off + by_x * tilt_x + by_y * tilt_y
-        weight = np.where(line, 1.0 / (variance + np.square(left / upright.CAUCHY_SIGMAS)), 0.0)
+        weight = np.where(line, 1.0 / (variance + np.square(left / _CAUCHY_SIGMAS)), 0.0)
         a = float(weight @ np.square(by_x)) + information
         b = float(weight @ (by_x * by_y))
         d = float(weight @ np.square(by_y)) + information
@@ -231,6 +231,7 @@ def _prior_up(sample: Sample) -> tuple[FloatArray, float]:
 NEAREST_M, FARTHEST_M = 2.5, 42.0
 _USUAL, _USUAL_SIGMA = 0.07, 0.05
 """Prior of 1 / distance (1 / m): mean and sigma."""
+_CAUCHY_SIGMAS = 2.0  # poles that lean by more count less; as the matcher was trained
 _HEIGHT_SIGMA_M = 0.15
 """Of the road's plane, the map and the vehicle's suspension together."""
 _AGREEING = 3.0
