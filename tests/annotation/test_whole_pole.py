@@ -1,21 +1,29 @@
-"""The whole pole under one point, in painted scenes."""
+"""The whole pole under one point, or of which a half is labelled, in painted scenes."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from painted_scenes import RECTIFIED, scenery, shot_of, upright
 
-from semviz_annotation.assist.marked_image import MarkedImage
+from semviz_annotation.assist.marked_image import Mark, MarkedImage, pixel
 from semviz_annotation.assist.snap import whole_pole
+from semviz_annotation.assist.whole_ends import whole_marks
 from semviz_core.base.classes import DEFAULT_CLASSES, POLE
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
 
+TOP_M, BOTTOM_M = (0.6, -1.6, 10.0), (0.6, 1.2, 10.0)
+WIDTHS_PX = [8.0, 8.0]
 
-def scene(top_m: float = -1.6, width_m: float = 0.16) -> tuple[MarkedImage, FloatArray]:
+
+def scene(
+    top_m: float = TOP_M[1], width_m: float = 0.16, T_camera_map: Pose | None = None
+) -> tuple[MarkedImage, FloatArray]:
     """A pole 10 m ahead before a calm background, and its ends in the image."""
     wall = (upright(0.0, 40.0, 80.0, -30.0, 30.0), (150, 170, 190))
     pole = (upright(0.6, 10.0, width_m, top_m, 1.2), (60, 64, 70))
-    image = shot_of(RECTIFIED, Pose.identity(), [wall, *scenery(4)[:40], pole])
+    image = shot_of(RECTIFIED, T_camera_map or Pose.identity(), [wall, *scenery(4)[:40], pole])
     return image, image.view.project(np.array([[0.6, top_m, 10.0], [0.6, 1.2, 10.0]]))
 
 
@@ -45,3 +53,43 @@ def test_beside_a_pole_and_at_a_plain_wall_is_none() -> None:
     middle = ends.mean(axis=0)
     assert whole_pole(image, middle + np.array([40.0, 0.0]), DEFAULT_CLASSES[POLE]) is None
     assert whole_pole(image, np.array([-20.0, 60.0]), DEFAULT_CLASSES[POLE]) is None
+
+
+def halves(ends: list[FloatArray], end: int) -> list[Mark]:
+    """The marks of a pole without its upper (0) or lower half."""
+    marks = []
+    for each in ends:
+        cut = each.copy()
+        cut[end] = each.mean(axis=0)
+        marks.append(Mark(pixel(cut[0]), pixel(cut[1])))
+    return marks
+
+
+def both_scenes() -> tuple[list[MarkedImage], list[FloatArray]]:
+    """The images of a stereo pair, and the ends of the pole there."""
+    images = [scene(T_camera_map=Pose.exp(np.r_[-u, np.zeros(5)]))[0] for u in (0.0, 0.5)]
+    return images, [image.view.project(np.array([TOP_M, BOTTOM_M])) for image in images]
+
+
+@pytest.mark.parametrize("end", [0, 1])
+def test_a_pole_that_is_labelled_by_half_is_seen_whole_in_both_images(end: int) -> None:
+    images, ends = both_scenes()
+    found = whole_marks(images, halves(ends, end), WIDTHS_PX)
+    for mark, true in zip(found, ends, strict=True):
+        assert np.abs(mark.ends_px - true).max() < 3.0
+    whole = [Mark(pixel(each[0]), pixel(each[1])) for each in ends]
+    assert whole_marks(images, whole, WIDTHS_PX) == whole
+
+
+def test_an_end_that_one_image_shows_is_taken_for_the_other_unless_hidden_or_outside() -> None:
+    images, ends = both_scenes()
+    pixels = images[1].image.copy()
+    pixels[: int(ends[1][:, 1].mean()) + 2] = (150, 170, 190)  # the upper half is hidden
+    images[1] = replace(images[1], image=pixels)
+    found = whole_marks(images, halves(ends, 0), WIDTHS_PX)
+    assert np.abs(found[1].ends_px - ends[1]).max() < 4.0
+    assert found[1].anchor_known
+    hidden = [replace(mark, anchor_known=False) for mark in halves(ends, 0)]
+    assert whole_marks(images, hidden, WIDTHS_PX)[1] == hidden[1]
+    beyond = halves([ends[0], ends[1] - [0.0, ends[1][:, 1].mean()]], 0)
+    assert whole_marks(images, beyond, WIDTHS_PX)[1].anchor_px == beyond[1].anchor_px

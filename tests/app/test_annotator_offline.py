@@ -9,6 +9,8 @@ from annotator_page import SIDES, annotating
 from journeys.driver import POLE, ROUNDED, TRIANGULAR, LabelDriver
 from streets import street_workspace
 
+from semviz_annotation.labels.labels import new_id
+
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
@@ -89,6 +91,8 @@ def test_offline_what_is_known_stays_and_what_is_drawn_is_kept(
         page.keyboard.press("F7")
         says(page, "#filmstrip-about", "Offline: the images are searched when the server is back")
         page.keyboard.press("F2")
+        for note in (new_id(), new_id()):  # what they are about is gone
+            page.evaluate("id => semviz.submit({ kind: 'delete note', note_id: id })", note)
 
         step(page, ",", 1)
         driver.clear_selection()
@@ -99,6 +103,10 @@ def test_offline_what_is_known_stays_and_what_is_drawn_is_kept(
         page.evaluate(MEND)
         page.wait_for_selector("#saved.saved")
         page.wait_for_function("() => !semviz.state.pending.length && !semviz.state.isUnknown")
+        says(page, "#question", "Not made, though kept while offline")
+        assert page.inner_text("#question").count("no such note") == 2
+        page.keyboard.press("y")
+        page.wait_for_selector("#question", state="hidden")
         assert (driver.frame, driver.view("left")) == (1, zoom)  # not to where the undone one was
         before = driver.operation
         driver.click_at("left", (500.0, 160.0))

@@ -4,7 +4,8 @@
 `snap` improves one mark, `whole_pole` finds a pole under one point, and `stereo_matching` the
 correspondence in the other image. `propagation` finds a mapped element in other frames, from its
 `expected_position`: `pole_search` and `sign_search` search one image each (`image_search`), and
-`track` tells how far a mark that follows others is trusted.
+`track` tells how far a mark that follows others is trusted; `whole_ends` looks for a pole beyond
+the ends of its mark.
 `detection_refinement` does the same for detections, with `pole_ends` at their ends. `score`
 turns the evidence into a probability.
 """

@@ -23,7 +23,7 @@ from semviz_annotation.assist.image_search import (
 )
 from semviz_annotation.assist.marked_image import Mark, MarkedImage, clip_to_image, pixel
 from semviz_annotation.assist.score import LabelledView, Track, apparent_size, probability, score_of
-from semviz_annotation.assist.snap import CLEAR, align_ends, best_snap, longer
+from semviz_annotation.assist.snap import CLEAR, align_ends, best_snap
 from semviz_annotation.labels.views import PosedView
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_core.base.classes import DEFAULT_CLASSES, POLE, ElementClass
@@ -291,9 +291,7 @@ def refine_pole(search: ImageSearch, choice: ChosenOffset) -> RefinedMark:
         ]
     )  # fmt: skip
     what = "followed pole" if edged is None else "seen pole"
-    whole_mark = longer(target, clipped_mark, width)
-    is_longer = whole_mark.ends_px.tolist() != clipped_mark.ends_px.tolist()
-    return RefinedMark(whole_mark, what, np.array([moved.mean()]), evidence, is_longer)
+    return RefinedMark(clipped_mark, what, np.array([moved.mean()]), evidence)
 
 
 @dataclass(frozen=True, eq=False)

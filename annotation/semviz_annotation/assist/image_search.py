@@ -89,8 +89,6 @@ class RefinedMark:
     """See ``PropagatedMark``."""
     offset: FloatArray
     evidence: FloatArray
-    is_longer: bool = False
-    """See ``PropagatedMark``."""
 
 
 @dataclass(frozen=True, eq=False)

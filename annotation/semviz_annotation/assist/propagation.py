@@ -13,6 +13,7 @@ from semviz_annotation.assist import element_search, image_search
 from semviz_annotation.assist.expected_position import SIGMA_PX, expected_px, spread_px2, upright
 from semviz_annotation.assist.marked_image import Mark, ProposedMark
 from semviz_annotation.assist.score import NO_TRACK, Track, log_growth, score_of
+from semviz_annotation.assist.whole_ends import whole_marks
 from semviz_annotation.mapping.placement.triangulation import Triangulated
 from semviz_core.base.classes import ElementClass
 from semviz_core.common.arrays import FloatArray
@@ -116,14 +117,18 @@ def _search_jointly(
     pull = float(np.sqrt(offset @ information @ offset / len(offset)))
     worst = min(choice.total for choice in choices)
     moment = (worst, pull, log_growth(track))
+    marks = [result.mark for result in refined_marks]
+    if is_line:
+        targets = [search.expected.reference.target for search in searches]
+        marks = whole_marks(targets, marks, [float(search.size_px[0]) for search in searches])
     return {
         k: image_search.PropagatedMark(
-            result.mark,
+            mark,
             result.what,
             np.array([*result.evidence, _apart_px(result, refined_marks), *moment]),
-            result.is_longer,
+            is_longer=is_line and mark.ends_px.tolist() != result.mark.ends_px.tolist(),
         )
-        for k, result in zip(by_view, refined_marks, strict=True)
+        for k, mark, result in zip(by_view, marks, refined_marks, strict=True)
     }
 
 

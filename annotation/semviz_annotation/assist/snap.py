@@ -24,7 +24,6 @@ from semviz_core.subpixel.pole_axis import Axis, across, edge_support, find_axes
 from semviz_core.subpixel.pole_ends import (
     WEIGHTS,
     end_by_rows,
-    grown_end,
     row_evidence,
     visible_end,
 )
@@ -38,8 +37,6 @@ _ROUND_PX = 6.0
 _APART_PX = 1.0
 """Largest difference between the displacements of both ends."""
 _BESIDE_PX = 2.0
-_ASIDE, _ASIDE_PX = 0.02, 1.0
-"""A pole is followed past its end with a line that is off by so much per px, and at its end."""
 _CLEAR = 0.1
 """The best position must exceed the similarity of all that are not next to it by this much."""
 
@@ -131,33 +128,6 @@ def _end_points(
     rows = (np.linspace(-_ROUND_PX, _ROUND_PX, 13) * scale + shifts[:, None])[..., None, None]
     columns = np.linspace(-1.0, 1.0, 7)[:, None] * (width_px / 2.0 + 1.0 * scale)
     return np.asarray(ends_px[k] + rows * along + columns * across(ends_px))
-
-
-_LEAST_LONGER = (8.0, 0.15)
-"""A pole goes on beyond an end by so many px, and by this share of its length, or not at all."""
-_LEAST_GAIN, _MOST_FALL = 15.0, -1.5
-"""Log-odds of the rows beyond the end, and those of a row after the new end."""
-
-
-def longer(image: MarkedImage, mark: Mark, width_px: float) -> Mark:
-    """Return a pole's mark with the ends beyond which the image shows more of it moved there.
-
-    Of 440 visible ends of KITTI 02 and streets none is moved; of poles cut in half 45 to 77 % get
-    their end.
-    """
-    ends = mark.ends_px
-    along = (ends[1] - ends[0]) / _length_px(ends)
-    aside = min(_ASIDE, _ASIDE_PX / _length_px(ends))
-    known = [mark.anchor_known, mark.end_known]
-    moved = ends.copy()
-    for k, direction in enumerate((-along, along)):
-        beyond = grown_end(image, ends[1 - k], ends[k], width_px, aside)
-        least = max(_LEAST_LONGER[0], _LEAST_LONGER[1] * _length_px(ends))
-        clear = beyond.gain > _LEAST_GAIN and beyond.fall < _MOST_FALL
-        if clear and beyond.off_px > least:
-            moved[k] = ends[k] + beyond.off_px * direction
-            known[k] = True
-    return Mark(pixel(moved[0]), pixel(moved[1]), known[0], known[1])
 
 
 _UNSTATED_PX = 4.0
@@ -357,7 +327,10 @@ def whole_pole(image: MarkedImage, point_px: FloatArray, pole: ElementClass) -> 
     ends = np.stack([part[0] + step / 3.0, part[1] - step / 3.0])
     for _ in range(_TIMES):
         ends = np.stack(
-            [_followed(image, ends[1], ends[0], width), _followed(image, ends[0], ends[1], width)]
+            [
+                follow_pole(image, ends[1], ends[0], width),
+                follow_pole(image, ends[0], ends[1], width),
+            ]
         )
         axis = refine_axis(image, Axis(ends, width, np.zeros(0), 0.0))
         width, ends = axis.width_px, axis.ends_px
@@ -384,7 +357,7 @@ def _first_part(image: MarkedImage, point_px: FloatArray, pole: ElementClass) ->
     return best
 
 
-def _followed(
+def follow_pole(
     image: MarkedImage, inner_px: FloatArray, end_px: FloatArray, width_px: float
 ) -> FloatArray:
     """Return the end (2,) of a pole that is followed from ``inner_px`` on beyond ``end_px``.

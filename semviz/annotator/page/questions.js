@@ -46,12 +46,26 @@ function replaced(entry, event, page) {
 function refusedEdit(entry, { code, text, retry }, page) {
   const { outbox, state } = page;
   const staysPending = code !== "invalid" && code !== "not_found";
+  const isLate = !staysPending && page.late.delete(entry.request);
   if (!staysPending) page.settle(entry.request);
   else if (retry) outbox?.retry();
   if (!staysPending || state.trouble !== text) page.notify(text, "wrong"); // once, not at every retry
   state.set({ trouble: staysPending ? text : null });
+  if (isLate) state.set({ question: notMade(entry, text, state.question) });
   page.showPending();
   page.preview();
+}
+
+/** An edit that was made offline cannot be made any more: said until somebody has read it, with those before.
+ *
+ * @param {Entry} entry
+ * @param {string} text
+ * @param {Question | null} before
+ * @returns {Question}
+ */
+function notMade(entry, text, before) {
+  const texts = before?.notMade ? `${before.text}; ${text}` : `Not made, though kept while offline: ${text}`;
+  return { entry, text: texts, answers: [{ title: "Read", run: () => {} }], notMade: true };
 }
 
 /** Others changed what the edit is about: whose version stays?

@@ -41,8 +41,8 @@
  * @typedef {{element: string, side: Side, also?: string | null}} Selected */
 /** @typedef {{snap: boolean, whole: boolean, loupe: boolean, guides: boolean, proposals: boolean, bright: boolean, map: boolean, backdrop: boolean}} Aids */
 /** @typedef {{brightness: number, contrast: number}} Brightness */
-/** A refused edit, and what the user may answer; the edit waits until then. `conflict`: who changed the same, and when.
- * @typedef {{entry: Entry, text: string, answers: {title: string, run: () => void}[], conflict?: {operation: number, author: string, time: string}}} Question */
+/** A refused edit, and what the user may answer; the edit waits until then. `conflict`: who changed the same, and when. `notMade`: the edit is dropped.
+ * @typedef {{entry: Entry, text: string, answers: {title: string, run: () => void}[], conflict?: {operation: number, author: string, time: string}, notMade?: boolean}} Question */
 
 /** @type {Side[]} */
 export const SIDES = ["left", "right"];
