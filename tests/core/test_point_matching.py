@@ -83,6 +83,7 @@ AHEAD = Pose(np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.array([0.2, 1.5,
     [
         (AHEAD, 6, ""),
         (AHEAD, 3, "3 points are matched, 4 needed"),
+        (Pose(AHEAD.rotation, np.array([0.2, 1.5, 60.0])), 6, "far away"),
         (Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3)) @ AHEAD, 6, "upside down"),
     ],
 )

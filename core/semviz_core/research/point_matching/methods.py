@@ -58,6 +58,8 @@ POINT_MODELS = {
 
 LEAST_MATCHES = 4
 TRIALS, THRESHOLD_PX = 1000, 10.0
+MOST_AWAY_M = 50.0
+"""Of a pose from the local origin. DeepI2P's solver allows 14 m, from an origin without error."""
 
 
 def epnp_ransac(sample: Sample, camera: Camera, pairs: IntArray, seed: int = 0) -> Pose | str:
@@ -86,7 +88,10 @@ def epnp_ransac(sample: Sample, camera: Camera, pairs: IntArray, seed: int = 0) 
     pose = Pose(rotation, np.asarray(translation, np.float64).ravel())
     is_ahead = (pose.apply(point_m[inliers.ravel()])[:, 2] > 0.0).all()
     is_upright = rotation[1, 2] < 0.0  # the map's up, in camera axes
-    return pose if is_ahead and is_upright else "The pose is behind its points or upside down."
+    is_near = np.linalg.norm(pose.inverse().translation) < MOST_AWAY_M
+    if is_ahead and is_upright and is_near:
+        return pose
+    return "The pose is behind its points, upside down or far away."
 
 
 @dataclass(frozen=True)
