@@ -234,8 +234,7 @@ class TrainCommand:
 
     model: Annotated[Positional[str], arg(metavar="MODEL")]
     """paper, paper-no-semantics, bpnpnet, bpnpnet-semantic, matcher, verifier, and for suite
-    paper-20m point-2d3d-matchnet, point-deepi2p, semantic-point-2d3d-matchnet or
-    semantic-point-deepi2p."""
+    paper-20m matchnet, deepi2p, matchnet-semantic or deepi2p-semantic."""
     out: Annotated[Path, arg(metavar="DIR")]
     """Training folder: checkpoint, losses as JSON lines and as a plot."""
     samples: parsing.OptionalInt = None

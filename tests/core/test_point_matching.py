@@ -194,7 +194,7 @@ def test_the_loss_of_distances_compares_with_a_false_pair_that_is_possible() -> 
     assert float(distance_loss(distance, alone, pairs, drawn)) == 0.0
 
 
-@pytest.mark.parametrize(("name", "steps"), [("point-2d3d-matchnet", 80), ("point-deepi2p", 200)])
+@pytest.mark.parametrize(("name", "steps"), [("matchnet", 80), ("deepi2p", 200)])
 def test_a_network_learns_two_frames_by_heart_and_finds_their_pose(
     problems: list[LocalizationProblem], name: str, steps: int
 ) -> None:

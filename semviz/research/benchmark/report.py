@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 
 METHODS = (
-    "point-2d3d-matchnet", "point-deepi2p", "bpnpnet", "paper-no-semantics",
-    "semantic-point-2d3d-matchnet", "semantic-point-deepi2p", "bpnpnet-semantic", "paper",
+    "matchnet", "deepi2p", "bpnpnet", "paper-no-semantics",
+    "matchnet-semantic", "deepi2p-semantic", "bpnpnet-semantic", "paper",
     "EPnP with true pairs", "paper with true costs", "paper with true P", "correspondences",
     "learned", "search", "true matches", "bound",
 )  # fmt: skip
@@ -108,20 +108,20 @@ PRINTED = (
     Printed("2D3D-MatchNet", "27.1 12.0 23.3 63.1", "134 115 127 162", time_ms="3100"),
     Printed("DeepI2P", "42.9 15.4 32.7 96.2", "145 82.4 131 167", time_ms="5700"),
     Printed(
-        "Point 2D3D-MatchNet", "18.4 6.72 13.5 27.3", "75.8 23.1 53.7 146", "point-2d3d-matchnet"
+        "Point 2D3D-MatchNet", "18.4 6.72 13.5 27.3", "75.8 23.1 53.7 146", "matchnet"
     ),
-    Printed("Point DeepI2P", "3.94 0.57 1.39 5.83", "24.1 5.37 13.2 36.5", "point-deepi2p"),
+    Printed("Point DeepI2P", "3.94 0.57 1.39 5.83", "24.1 5.37 13.2 36.5", "deepi2p"),
     Printed("BPnPNet", "1.14 0.21 0.49 1.57", "2.10 0.52 0.74 2.69", "bpnpnet", time_ms="100"),
     Printed(
         "Ours w/o Semantics", "0.49 0.14 0.21 0.97", "0.92 0.17 0.35 1.83", "paper-no-semantics"
     ),
     Printed(
         "Semantic Point 2D3D-MatchNet", "5.21 2.14 4.32 12.6", "24.3 6.49 18.6 37.2",
-        "semantic-point-2d3d-matchnet",
+        "matchnet-semantic",
     ),
     Printed(
         "Semantic Point DeepI2P", "2.17 0.25 0.71 3.24", "8.69 2.15 6.21 12.4",
-        "semantic-point-deepi2p",
+        "deepi2p-semantic",
     ),
     Printed("Semantic BPnPNet", "0.36 0.17 0.25 0.82", "0.65 0.23 0.39 1.22", "bpnpnet-semantic"),
     Printed("Ours", "0.22 0.09 0.18 0.29", "0.34 0.14 0.26 0.45", "paper", "99.5%", "100"),

@@ -50,10 +50,10 @@ class PointModel:
 
 
 POINT_MODELS = {
-    "point-2d3d-matchnet": PointModel(descriptors=True, semantics=False),
-    "point-deepi2p": PointModel(descriptors=False, semantics=False),
-    "semantic-point-2d3d-matchnet": PointModel(descriptors=True, semantics=True),
-    "semantic-point-deepi2p": PointModel(descriptors=False, semantics=True),
+    "matchnet": PointModel(descriptors=True, semantics=False),
+    "deepi2p": PointModel(descriptors=False, semantics=False),
+    "matchnet-semantic": PointModel(descriptors=True, semantics=True),
+    "deepi2p-semantic": PointModel(descriptors=False, semantics=True),
 }
 
 LEAST_MATCHES = 4
