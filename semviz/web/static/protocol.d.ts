@@ -338,7 +338,7 @@ export interface DrawnMark {
 
 /** One check, as texts for people. */
 export interface DriveCheck {
-  kind: "colors" | "sides" | "lines" | "rows" | "poses" | "mount" | "extrinsics" | "scale" | "time" | "steps" | "gaps";
+  kind: "mosaic" | "colors" | "sides" | "lines" | "rows" | "poses" | "mount" | "extrinsics" | "scale" | "time" | "steps" | "gaps";
   name: string;
   measured: string;
   value: string;
