@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from annotator_page import SIDES, Served, annotating, true_detections
+from annotator_page import SIDES, WAIT_MS, Served, annotating, true_detections
 from journeys.driver import POLE, ROUNDED, TRIANGULAR, LabelDriver, Pixel, Side
 from streets import street_workspace
 
@@ -81,6 +81,17 @@ def draw_first(driver: LabelDriver, served: Served) -> int:
     return element
 
 
+def wait_for_search(driver: LabelDriver) -> None:
+    """Until the images of the frame on screen were searched for all that is proposed."""
+    driver.page.wait_for_function(
+        """() => {
+            const { frame, labels } = semviz.state;
+            return labels.frame.index === frame && !labels.frame.is_searching;
+        }""",
+        timeout=WAIT_MS,
+    )
+
+
 def wait_for_score(driver: LabelDriver, name: str) -> None:
     driver.page.wait_for_selector(f'#elements .row:has-text("{name}") .score')
 
@@ -123,13 +134,15 @@ def test_only_the_key_for_all_takes_weak_ones_and_goes_on(
     driver.press_and_save("Space")
     monkeypatch.setattr(proposals, "SURE", 1.0)  # all are weak
     driver.goto(3)
-    driver.settle()
+    wait_for_search(driver)
     state = "({ confidentProposals: sure, foundProposals: all }) => [sure.length, all.length]"
     assert driver.page.evaluate(f"({state})(semviz.state)") == [0, 1]
     driver.page.keyboard.press("Control+Enter")
     driver.page.wait_for_selector("#message:has-text('frame 3 has no labels')")
+    driver.page.wait_for_function("() => semviz.state.frame !== 3")
+    wait_for_search(driver)  # it went on; an answer about that frame must not come later
     driver.goto(3)
-    driver.settle()
+    wait_for_search(driver)
     driver.press_and_save("Control+Shift+Enter")
     driver.page.wait_for_function("() => semviz.state.labels.frames[3].state === 'reviewed'")
     assert len(served.labels.in_frame(3, "left")) == 1
@@ -274,7 +287,7 @@ def test_the_page_does_not_wait_for_a_search_that_failed(
 
     monkeypatch.setattr(image_worker, "propagate", failing)
     driver.goto(1)
-    driver.settle()
+    wait_for_search(driver)
     (proposal,) = driver.page.evaluate(
         "semviz.state.proposals.map(({ name, score }) => [name, score])"
     )
