@@ -143,6 +143,8 @@ def test_only_the_key_for_all_takes_weak_ones_and_goes_on(
     wait_for_search(driver)  # it went on; an answer about that frame must not come later
     driver.goto(3)
     wait_for_search(driver)
+    driver.page.wait_for_function("() => semviz.state.foundProposals.length === 1")
+    driver.settle()
     driver.press_and_save("Control+Shift+Enter")
     driver.page.wait_for_function("() => semviz.state.labels.frames[3].state === 'reviewed'")
     assert len(served.labels.in_frame(3, "left")) == 1
