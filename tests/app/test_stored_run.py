@@ -53,6 +53,20 @@ def unread(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(stored_run, "_opened_by_reading")
 
 
+@pytest.fixture
+def read(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The positions of the frames that were read from files, in order."""
+    positions: list[int] = []
+    of_file = stored_run.StoredFrames.read
+
+    def noted(frames: stored_run.StoredFrames, position: int) -> Any:
+        positions.append(position)
+        return of_file(frames, position)
+
+    monkeypatch.setattr(stored_run.StoredFrames, "read", noted)
+    return positions
+
+
 def assert_same_run(opened: Run, whole: Run) -> None:
     assert_same(replace(opened, frames=tuple(opened.frames)), whole)
     assert_same(frame_table(opened), frame_table(whole))
@@ -60,16 +74,8 @@ def assert_same_run(opened: Run, whole: Run) -> None:
 
 @pytest.mark.usefixtures("unread")
 def test_a_run_opens_by_its_table_and_its_frames_come_when_needed(
-    path: Path, monkeypatch: pytest.MonkeyPatch
+    path: Path, read: list[int]
 ) -> None:
-    read: list[int] = []
-    of_file = stored_run.StoredFrames.read
-
-    def noted(frames: stored_run.StoredFrames, position: int) -> Any:
-        read.append(position)
-        return of_file(frames, position)
-
-    monkeypatch.setattr(stored_run.StoredFrames, "read", noted)
     opened = open_run(path)
     assert len(frame_table(opened)) == FRAMES
     assert not read
@@ -79,16 +85,8 @@ def test_a_run_opens_by_its_table_and_its_frames_come_when_needed(
 
 
 def test_a_run_is_evaluated_with_one_frame_after_the_other(
-    path: Path, monkeypatch: pytest.MonkeyPatch
+    path: Path, read: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    read: list[int] = []
-    of_file = stored_run.StoredFrames.read
-
-    def noted(frames: stored_run.StoredFrames, position: int) -> Any:
-        read.append(position)
-        return of_file(frames, position)
-
-    monkeypatch.setattr(stored_run.StoredFrames, "read", noted)
     monkeypatch.setattr(stored_run, "HELD", 3)
     opened, whole = open_run(path), load_run(path)
     assert summarize_run(opened) == summarize_run(whole)

@@ -35,7 +35,11 @@ from semviz_core.research.point_matching.training import (
     points_in_image,
 )
 from semviz_core.research.training.batch import Batch, Progress
-from semviz_core.research.training.simulated_samples import PAPER_20M_DISTRIBUTION, make_sample
+from semviz_core.research.training.simulated_samples import (
+    PAPER_20M_DISTRIBUTION,
+    make_sample,
+    sample_of,
+)
 
 torch.set_num_threads(1)  # samples are small: more threads would wait for each other
 
@@ -200,13 +204,7 @@ def test_a_network_learns_two_frames_by_heart_and_finds_their_pose(
 ) -> None:
     torch.manual_seed(0)
     task = PointTask(name, PAPER_20M_DISTRIBUTION)
-    frames = [
-        Sample.of(each.observed, each.submap, each.camera, each.prior).with_truth(
-            each.T_camera_map, each.pairs
-        )
-        for each in problems[:2]
-    ]
-    batch = task.collate([split_lines(frame) for frame in frames])
+    batch = task.collate([split_lines(sample_of(problem)) for problem in problems[:2]])
     before = float(task.figures(batch)["recall"])
     optimizer = torch.optim.Adam(task.network.parameters(), 1e-3)
     for step in range(steps):

@@ -59,10 +59,8 @@ _A, _B, _C, _D, _E = (
 class Weights(NamedTuple):
     """Sigmas and gains of matches by whole metres of distance."""
 
-    inverse_sigma: (
-        Float32Array  # (m, _DISTANCES, 2) of the slope of the anchor; of the end given it
-    )
-    slope_gain: Float32Array  # (m, _DISTANCES, 2) nats at best
+    inverse_sigma: Float32Array  # (m, _DISTANCES, 3) of slopes: anchor, end, end given the anchor
+    slope_gain: Float32Array  # (m, _DISTANCES, 3) nats at best
     common: Float32Array  # (m, _DISTANCES) share of the anchor's error that its end has as well
     turn_gain: Float32Array  # (_DISTANCES,)
     position_variance: np.float32  # of a position, times the square of metres per bin

@@ -34,6 +34,7 @@ from semviz_core.localization.correspondences.candidate_pairs import Sample
 from semviz_core.research.evaluation.methods import Method, MethodResult
 from semviz_core.research.evaluation.problems import LocalizationProblem
 from semviz_core.research.paper.matcher import split_lines
+from semviz_core.research.training.simulated_samples import sample_of
 
 if TYPE_CHECKING:
     from semviz_core.research.point_matching.networks import PointNetwork
@@ -120,9 +121,7 @@ class TruePoints:
     name: str = "EPnP with true pairs"
 
     def solve(self, problem: LocalizationProblem) -> MethodResult:
-        frame = problem.observed, problem.submap, problem.camera, problem.prior
-        sample = Sample.of(*frame).with_truth(problem.T_camera_map, problem.pairs)
-        sample = split_lines(sample)
+        sample = split_lines(sample_of(problem))
         assert sample.truth is not None
         pairs = np.argwhere(sample.truth.pairs & sample.seen_known[:, :1])
         start = perf_counter()

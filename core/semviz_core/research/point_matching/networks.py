@@ -109,9 +109,10 @@ class PointNet(nn.Module):
         self.turned = turned
         if turned:
             self.turn_points = _layers(3, 64, 128, 256)
-            self.turn = nn.Sequential(_layers(256, 128), nn.Linear(128, 9))
-            nn.init.zeros_(self.turn[1].weight)  # type: ignore[arg-type]
-            nn.init.zeros_(self.turn[1].bias)  # type: ignore[arg-type]
+            hidden, last = _layers(256, 128), nn.Linear(128, 9)
+            nn.init.zeros_(last.weight)  # begins with the identity
+            nn.init.zeros_(last.bias)
+            self.turn = nn.Sequential(hidden, last)
         self.points = _layers(inputs, 64, 64, 64, 128, 256)
         self.set = nn.Sequential(_layers(256, DESCRIPTOR), nn.Linear(DESCRIPTOR, DESCRIPTOR))
 

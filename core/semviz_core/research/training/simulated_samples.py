@@ -115,17 +115,18 @@ class SimulatedSamples:
 
 @lru_cache(maxsize=PAPER_20M_FRAMES)
 def _kept_sample(samples: SimulatedSamples, number: int) -> Sample:
-    return _sample_of(samples.problem(number))
+    return sample_of(samples.problem(number))
 
 
 def make_sample(
     problem: problems.LocalizationProblem, shift_m: float, rng: np.random.Generator
 ) -> Sample:
     """Return ``problem`` as an ``augmented`` sample with ground truth."""
-    return augmented(_sample_of(problem), shift_m, rng)
+    return augmented(sample_of(problem), shift_m, rng)
 
 
-def _sample_of(problem: problems.LocalizationProblem) -> Sample:
+def sample_of(problem: problems.LocalizationProblem) -> Sample:
+    """Return ``problem`` as a sample with ground truth, as it is."""
     sample = Sample.of(problem.observed, problem.submap, problem.camera, problem.prior)
     return sample.with_truth(problem.T_camera_map, problem.pairs)
 
