@@ -24,6 +24,7 @@ from semviz_core.pose_checks.comparison import (
     rows_of_runs,
 )
 from semviz_core.pose_checks.image_motions import ImageMotions
+from semviz_core.pose_checks.variance_components import variance_components
 
 CUT_CHI2 = 30.0
 CUT_M, CUT_RAD = 0.03, float(np.deg2rad(0.03))
@@ -68,14 +69,17 @@ def refine(poses: DrivePoses, motions: ImageMotions, comparison: PoseComparison)
     prior = np.sqrt(PRIOR_LEAST * PRIOR_MOST)
     adjusted, weight = start, held.astype(np.float64)
     for round_ in range(_ROUNDS):
-        adjusted = _adjusted(adjusted, start, measured, comparison, prior, weight)
+        counts = weight > 0.25
+        good = comparison.compared & counts[:-1] & counts[1:]
+        share = variance_components(comparison, good).motion_share
+        told = replace(comparison, information=comparison.information / share)
+        adjusted = _adjusted(adjusted, start, measured, told, prior, weight)
         off = _deviations(start, adjusted)
         prior = _prior_sigma(off[held & start.known])
         chi2 = ((off / prior) ** 2).sum(axis=1)
         softness = _GEMAN * 4.0 ** max(3 - round_, 0)  # first all frames, then those that agree
         weight = held / (1.0 + chi2 / (6.0 * softness)) ** 2
-    sigma = _sigmas(adjusted, measured, comparison, prior, weight)
-    counts = weight > 0.25
+    sigma = _sigmas(adjusted, measured, told, prior, weight)
     off = _deviations(poses, adjusted)
     return PoseRefinement(
         adjusted,
@@ -327,19 +331,18 @@ class PoseInformation:
     ) -> "PoseInformation":
         """Return that of poses of which those in ``refined`` (n,) follow from images alone.
 
-        Errors of the others are independent, as large as a comparison with the images shows. So are
-        those of measured motions, if they are smaller than stated.
+        Errors of the others are independent. These and the errors of measured motions are as large
+        as the pairs of the others show.
         """
         n = len(at)
-        given_sigma = comparison.pose_sigma / np.sqrt(2.0)  # a pair has the errors of two poses
+        concerned = refined[:-1] | refined[1:]
+        known = variance_components(comparison, comparison.compared & ~concerned)
         diagonal = np.tile(1e-6 * np.eye(6), (n, 1, 1))
-        diagonal[~refined] += np.diag(given_sigma**-2.0)
+        diagonal[~refined] += np.diag(known.pose_sigma**-2.0)
         upper = np.zeros((max(n - 1, 0), 6, 6))
         R, t = at.motions()
-        concerned = refined[:-1] | refined[1:]
-        share = _variance_share(comparison, comparison.compared & ~concerned)
         for row in np.flatnonzero(comparison.compared & concerned).tolist():
-            A, J = comparison.information[row] / share, adjoint(Pose(R[row], t[row]))
+            A, J = comparison.information[row] / known.motion_share, adjoint(Pose(R[row], t[row]))
             diagonal[row] += J.T @ A @ J
             diagonal[row + 1] += A
             upper[row] -= J.T @ A
@@ -355,25 +358,6 @@ class PoseInformation:
         columns[chosen, np.arange(len(chosen))] = 1.0
         factors = splu(_matrix(self.diagonal[near], upper).tocsc())
         return np.asarray(factors.solve(columns)[chosen])
-
-
-_LEAST_PAIRS, _LEAST_SHARE = 8, 0.05
-"""Fewer pairs tell nothing about the variance of measured motions; nor is it any smaller."""
-
-
-def _variance_share(comparison: PoseComparison, good: BoolArray) -> float:
-    """Return which share of their stated variance the measured motions have, at most 1.
-
-    Where poses are good, a motion's error is no larger than its innovation. The floors of measured
-    motions are those of real images; rendered ones, or a better camera, stay far below.
-    """
-    if good.sum() < _LEAST_PAIRS:
-        return 1.0
-    off, A = comparison.innovation[good], comparison.information[good]
-    chi2 = np.einsum("ni,nij,nj->n", off, A, off)
-    freedom = float(np.linalg.matrix_rank(A[0], rtol=1e-10, hermitian=True))  # 5 with one camera
-    median = freedom * (1.0 - 2.0 / (9.0 * freedom)) ** 3
-    return float(np.clip(np.median(chi2) / median, _LEAST_SHARE, 1.0))
 
 
 def stretches(
