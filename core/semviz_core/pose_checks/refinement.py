@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import splu
 
@@ -29,6 +30,8 @@ from semviz_core.pose_checks.variance_components import variance_components
 CUT_CHI2 = 30.0
 CUT_M, CUT_RAD = 0.03, float(np.deg2rad(0.03))
 """A pair cuts the drive if its chi2 and one of its innovations are larger."""
+CUT_PAIRS = (1, 5)
+"""So do so many in a row by their sum: in it, errors of poses between cancel, but a drift grows."""
 LONG_FRAMES = 25
 """A segment that is not reached again but is as long as this moves as a whole."""
 REACHED_SIGMAS = 4.0
@@ -111,10 +114,7 @@ def _joined(
     poses: DrivePoses, measured: Sequence[Pose | None], comparison: PoseComparison
 ) -> tuple[DrivePoses, BoolArray]:
     """Return poses without cuts, and (n,) which frames keep their given poses."""
-    large = np.linalg.norm(comparison.innovation[:, :3], axis=1) > CUT_M
-    large |= np.linalg.norm(comparison.innovation[:, 3:], axis=1) > CUT_RAD
-    cut = (comparison.chi2 > CUT_CHI2) & large
-    segments = _segments(cut)
+    segments = _segments(_cuts(comparison))
     longest = max(range(len(segments)), key=lambda row: segments[row][1] - segments[row][0])
     held = poses.known.copy()
     joined = _Chain(poses, measured, held, comparison.pose_sigma)
@@ -123,6 +123,27 @@ def _joined(
     for segment in segments[:longest][::-1]:
         joined.continue_to(segment, -1)
     return joined.result()
+
+
+def _cuts(comparison: PoseComparison) -> BoolArray:
+    """Return (n,) the pairs that cut the drive, alone or with their neighbours."""
+    cut = np.zeros(len(comparison.compared), dtype=bool)
+    covariance = np.linalg.pinv(comparison.information, rcond=1e-10, hermitian=True)
+    for pairs in CUT_PAIRS:
+        if len(cut) < pairs:
+            continue
+        windows = [
+            sliding_window_view(values, pairs, axis=0)
+            for values in (comparison.innovation, covariance, comparison.compared & ~cut)
+        ]
+        off, S = windows[0].sum(axis=-1), windows[1].sum(axis=-1)
+        S = S + np.diag(comparison.pose_sigma**2)
+        chi2 = np.einsum("ni,ni->n", off, np.linalg.solve(S, off[:, :, None])[:, :, 0])
+        large = np.linalg.norm(off[:, :3], axis=1) > CUT_M
+        large |= np.linalg.norm(off[:, 3:], axis=1) > CUT_RAD
+        found = np.flatnonzero((chi2 > CUT_CHI2) & large & windows[2].all(axis=-1))
+        cut[(found[:, None] + np.arange(pairs)).ravel()] = True
+    return cut
 
 
 def _segments(cut: BoolArray) -> list[tuple[int, int]]:

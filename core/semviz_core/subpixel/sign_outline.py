@@ -65,18 +65,23 @@ class Outline:
         """Rows from the middle of a triangle's box to the centroid; NaN for other shapes."""
         if self.shape not in _TRIANGLES:
             return float("nan")
-        third = float(self.half_px[1]) / 3.0
-        return third if self.shape == "triangle" else -third
+        return middle_below_box(self.shape, float(self.half_px[1]), "centroid")
 
     def middle_px(self, triangle_center: TriangleCenter) -> FloatArray:
         """Return the sign's middle (2,), of a triangle as defined."""
-        if triangle_center == "box" or np.isnan(self.to_centroid_px):
-            return self.center_px
-        return np.asarray(self.center_px + np.array([0.0, self.to_centroid_px]))
+        below = middle_below_box(self.shape, float(self.half_px[1]), triangle_center)
+        return np.asarray(self.center_px + np.array([0.0, below]))
 
     def is_of(self, shape: str) -> bool:
         """Whether it is an outline of a class's shape, upright or upside down."""
         return self.shape in turns_of(shape)
+
+
+def middle_below_box(shape: str, half_height: float, triangle_center: TriangleCenter) -> float:
+    """Return by how much a sign's middle is below that of its outline's box."""
+    if triangle_center == "box" or shape not in _TRIANGLES:
+        return 0.0
+    return half_height / 3.0 if shape == "triangle" else -half_height / 3.0
 
 
 def turns_of(shape: str) -> tuple[str, ...]:
