@@ -1,9 +1,9 @@
 """Refine poses by the motions measured in the images.
 
 Pairs of frames whose given motion is far from the measured one cut the drive into segments. Poses
-of the longest segment stay; so do those of others that the measured motions reach again. The rest
-is chained from the images. Then all poses are adjusted by sparse least squares on SE(3): measured
-motions, and robust priors on the given poses.
+of the longest segment stay; so do those of others of two frames or more that the measured motions
+reach again. The rest is chained from the images. Then all poses are adjusted by sparse least
+squares on SE(3): measured motions, and robust priors on the given poses.
 """
 
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ CUT_PAIRS = (1, 5)
 """So do so many in a row by their sum: in it, errors of poses between cancel, but a drift grows."""
 LONG_FRAMES = 25
 """A segment that is not reached again but is as long as this moves as a whole."""
-REACHED_SIGMAS = 4.0
+REACHED_SIGMAS, SPREAD_SIGMAS = 4.0, 3.0
 PRIOR_LEAST = np.repeat([0.01, np.deg2rad(0.02)], 3)
 PRIOR_MOST = np.repeat([0.08, np.deg2rad(0.1)], 3)
 """Limits of the sigma of a good given pose: m, then rad."""
@@ -60,6 +60,8 @@ class PoseRefinement:
     """(n,) of the refined rotation, the largest axis."""
     held: BoolArray
     """(n,) whether the given pose counts; else images alone place the frame."""
+    good_sigma: FloatArray
+    """(6,) of good given poses: m, then rad."""
 
 
 def refine(poses: DrivePoses, motions: ImageMotions, comparison: PoseComparison) -> PoseRefinement:
@@ -91,6 +93,7 @@ def refine(poses: DrivePoses, motions: ImageMotions, comparison: PoseComparison)
         sigma[:, 0],
         sigma[:, 1],
         counts,
+        prior,
     )
 
 
@@ -172,7 +175,10 @@ class _Chain:
         self._length_m = 0.0
 
     def continue_to(self, segment: tuple[int, int], direction: int) -> None:
-        """Keep, move or replace the poses of the next segment, forwards (1) or backwards (-1)."""
+        """Keep, move or replace the poses of the next segment, forwards (1) or backwards (-1).
+
+        A single frame is replaced: in a drift it agrees with the one before, and so on.
+        """
         first, last = segment
         rows = list(range(first, last + 1))[::direction]
         entry, before = rows[0], rows[0] - direction
@@ -181,7 +187,7 @@ class _Chain:
         if reached is None or not self._given.known[entry]:
             return
         self._length_m += float(np.linalg.norm(reached.translation - self._c[before]))
-        if self._agrees(reached, entry):
+        if len(rows) > 1 and self._agrees(reached, entry):
             self._chained, self._length_m = 0, 0.0
             return
         if len(rows) >= LONG_FRAMES:
@@ -386,9 +392,14 @@ def stretches(
 ) -> list[tuple[int, int]]:
     """Return first and last row of each stretch of frames that refining moves by more.
 
-    Its neighbours that clearly move too, by a quarter of that, belong to it.
+    It moves further than good poses of this drive err. Its neighbours that clearly move too, by a
+    quarter of the least moves, belong to it.
     """
-    strong, weak = (_moved(refinement, part * least_m, part * least_rad) for part in (1.0, 0.25))
+    usual_m, usual_rad = (
+        SPREAD_SIGMAS * float(np.linalg.norm(part)) for part in np.split(refinement.good_sigma, 2)
+    )
+    strong = _moved(refinement, max(least_m, usual_m), max(least_rad, usual_rad))
+    weak = _moved(refinement, 0.25 * least_m, 0.25 * least_rad)
     runs = rows_of_runs(weak | strong)
     return [(first, last) for first, last in runs if strong[first : last + 1].any()]
 
