@@ -45,6 +45,7 @@ def page(served: Served, page: "Page") -> "Page":
     driver.open(served.url)
     page.keyboard.press("Shift+E")
     driver.goto(4)
+    page.wait_for_function("() => !semviz.state.shownFrame.is_searching", timeout=WAIT_MS)
     page.keyboard.press("Control+Enter")
     page.wait_for_function(
         "() => semviz.state.view === 'filmstrip' && semviz.filmstrip.frames.length"
