@@ -23,7 +23,8 @@ from semviz.runs.metrics import summarize_run
 from semviz.runs.reader import load_run
 from semviz.runs.run import FrameRecord, Run
 from semviz.runs.stored_run import open_run
-from semviz.runs.tables import found_diagnoses, frame_rows
+from semviz.runs.table_metrics import found_diagnoses
+from semviz.runs.tables import frame_rows
 from semviz.runs.writer import RunWriter
 from semviz.web.protocol import Event, Request
 from semviz.web.viser_servers import ViserServers

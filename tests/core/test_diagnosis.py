@@ -16,6 +16,7 @@ from support.planted_faults import PLANTED, WHOLE, Given, Planted, plant
 from support.planted_runs import PlantedRun, plant_in_run
 
 from semviz_core.base.localization import Localization
+from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.diagnosis import reference
 from semviz_core.diagnosis import run as run_module
@@ -134,6 +135,31 @@ def test_a_run_tells_odometry_from_the_poses_of_its_images() -> None:
                       for found, truth in drive.frames]  # fmt: skip
             found = diagnose_run(frames, drive.semantic_map, DETECTOR, odometry=drive.odometry)
             assert [cause.kind for cause in found.causes] == [fault] * (fault != "healthy")
+
+
+def blind_diagnosis(run: PlantedRun) -> RunDiagnosis:
+    frames = [(frame, None) for frame, _ in run.frames]
+    return diagnose_run(frames, run.semantic_map, DETECTOR, odometry=run.odometry)
+
+
+def test_a_drift_of_few_frames_is_told_by_all_poses_together() -> None:
+    """No step of 3 m shows 3 to 10 % beside the noise of its two poses; the way of 27 m does."""
+    run = plant_in_run("wrong odometry", 2001, simulated_road(2001))
+    assert run is not None
+    assert [fault.kind for fault in blind_diagnosis(run).causes] == ["wrong odometry"]
+
+
+@pytest.mark.parametrize("row", [0, 4, 9])
+def test_one_wrong_pose_is_no_drift(row: int) -> None:
+    run = plant_in_run("healthy", 2001, simulated_road(2001))
+    assert run is not None
+    frames = list(run.frames)
+    result, truth = frames[row]
+    assert result.T_camera_map is not None
+    off = Pose(np.eye(3), np.array([0.0, 0.0, 1.5])) @ result.T_camera_map
+    frames[row] = replace(result, T_camera_map=off), truth
+    causes = blind_diagnosis(replace(run, frames=tuple(frames))).causes
+    assert "wrong odometry" not in [fault.kind for fault in causes]
 
 
 def test_odometry_without_poses_tells_nothing() -> None:
