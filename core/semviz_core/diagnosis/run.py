@@ -114,6 +114,9 @@ def diagnose_run(
         causes = [cause for cause in causes if cause.kind not in OF_CALIBRATION]
     blind = all(case.truth is None for case in cases)
     if odometry is not None and blind and not causes and calibration is None:
+        compass = run_causes.tracked_heading_fault(cases, odometry, watch)
+        causes += [] if compass is None else [compass]
+    if odometry is not None and blind and not causes and calibration is None:
         cases = with_carried_poses(cases, odometry, watch)
         positions = _with_pose(cases)
         compared = [cases[position] for position in positions]
