@@ -16,7 +16,7 @@ from support.planted_faults import PLANTED, WHOLE, Given, Planted, plant
 from support.planted_runs import PlantedRun, plant_in_run
 
 from semviz_core.base.localization import Localization
-from semviz_core.base.pose import Pose
+from semviz_core.base.pose import Pose, heading_rad
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.diagnosis import reference
 from semviz_core.diagnosis import run as run_module
@@ -160,6 +160,20 @@ def test_one_wrong_pose_is_no_drift(row: int) -> None:
     frames[row] = replace(result, T_camera_map=off), truth
     causes = blind_diagnosis(replace(run, frames=tuple(frames))).causes
     assert "wrong odometry" not in [fault.kind for fault in causes]
+
+
+def with_right_compass(result: Localization, truth: GroundTruth) -> Localization:
+    assert result.prior is not None
+    heading = heading_rad(truth.T_camera_map.inverse())
+    return replace(result, prior=replace(result.prior, heading_rad=heading))
+
+
+def test_a_track_shows_a_compass_that_single_frames_cannot() -> None:
+    run = plant_in_run("wrong heading prior", 3000, simulated_road(3000))
+    assert run is not None
+    assert [cause.kind for cause in blind_diagnosis(run).causes] == ["wrong heading prior"]
+    right = [(with_right_compass(*frame), frame[1]) for frame in run.frames]
+    assert blind_diagnosis(replace(run, frames=tuple(right))).causes == ()
 
 
 def test_odometry_without_poses_tells_nothing() -> None:
