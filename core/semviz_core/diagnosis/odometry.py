@@ -12,7 +12,7 @@ import numpy as np
 
 from semviz_core.base.frame import Odometry, adjoint
 from semviz_core.base.pose import Pose
-from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.common.arrays import FloatArray
 from semviz_core.diagnosis.assumptions import solve_with_prior
 from semviz_core.diagnosis.fault import EvidenceItem, RunFault
 from semviz_core.diagnosis.reference import FrameReference, is_healthy
@@ -27,6 +27,8 @@ TRUE_POSE_SIGMA: FloatArray = np.repeat([0.02, float(np.deg2rad(0.02))], 3)
 LEAST_NATS, LEAST_NATS_WITHOUT_BEST = 12.0, 6.0
 """Log-likelihood that a drift must add, in all and without any one of the poses: one wrong pose is
 no drift."""
+LOOSE = 1e4
+"""Variance of a pose that is left out (m2, rad2)."""
 LEAST_SIGMAS = 1.0
 """Smallest drift that is a fault, in stated sigmas of one step."""
 LEAST_NOISE = 3.0
@@ -54,7 +56,9 @@ class _Stretch:
     drifts: FloatArray
     """(6, 2) change of ``innovation`` with the length and with the yaw of all steps."""
     by_start: FloatArray
-    """(6, 6) covariance of ``innovation`` with the error of the pose at its start."""
+    """(6, 6) change of ``innovation`` with the pose at its start; -1 with that at its end."""
+    start_covariance: FloatArray
+    """(6, 6) of the pose at its start."""
     step_sigmas: FloatArray
     """(2,) stated sigmas of one step: share of its length, and radians."""
 
@@ -95,18 +99,18 @@ def _drift(stretches: Sequence[_Stretch]) -> tuple[str, EvidenceItem] | None:
     """Return the drift that all stretches have in common, as a sentence and as a number."""
     covariance = _joint_covariance(stretches)
     innovation = np.concatenate([stretch.innovation for stretch in stretches])
-    every = np.arange(len(stretches))
     best: tuple[float, str, EvidenceItem] | None = None
     for k, (name, unit, factor) in enumerate(DRIFTS):
         by_drift = np.concatenate([stretch.drifts[:, k] for stretch in stretches])
-        value, nats = _fitted(by_drift, innovation, covariance, every)
+        value, nats = _fitted(by_drift, innovation, covariance)
         step_sigma = float(np.median([stretch.step_sigmas[k] for stretch in stretches]))
         if nats < LEAST_NATS or abs(value) < LEAST_SIGMAS * step_sigma:
             continue
-        others = (every[(every != end - 1) & (every != end)] for end in range(len(every) + 1))
+        loose = (
+            covariance + LOOSE * _by_pose(stretches, pose) for pose in range(len(stretches) + 1)
+        )
         if any(
-            _fitted(by_drift, innovation, covariance, rows)[1] < LEAST_NATS_WITHOUT_BEST
-            for rows in others
+            _fitted(by_drift, innovation, other)[1] < LEAST_NATS_WITHOUT_BEST for other in loose
         ):
             continue
         if best is None or nats > best[0]:
@@ -116,14 +120,25 @@ def _drift(stretches: Sequence[_Stretch]) -> tuple[str, EvidenceItem] | None:
 
 
 def _fitted(
-    by_drift: FloatArray, innovation: FloatArray, covariance: FloatArray, stretches: IntArray
+    by_drift: FloatArray, innovation: FloatArray, covariance: FloatArray
 ) -> tuple[float, float]:
-    """Return the drift (least squares) of some stretches, and what it adds to their likelihood."""
-    rows = (6 * stretches[:, None] + np.arange(6)).ravel()
-    weighted = np.linalg.solve(covariance[np.ix_(rows, rows)], by_drift[rows])
-    information = max(float(weighted @ by_drift[rows]), 1e-12)
-    score = float(weighted @ innovation[rows])
+    """Return the drift (least squares), and what it adds to the log-likelihood."""
+    weighted = np.linalg.solve(covariance, by_drift)
+    information = max(float(weighted @ by_drift), 1e-12)
+    score = float(weighted @ innovation)
     return score / information, 0.5 * score**2 / information
+
+
+def _by_pose(stretches: Sequence[_Stretch], pose: int) -> FloatArray:
+    """Return the joint covariance that errors of a pose have, with unit variances: of the one at
+    the start of stretch number ``pose``, or at the end of the one before."""
+    change = np.zeros((len(stretches), 6, 6))
+    if pose < len(stretches):
+        change[pose] = stretches[pose].by_start
+    if pose and (pose == len(stretches) or stretches[pose - 1].last == stretches[pose].first):
+        change[pose - 1] = -np.eye(6)
+    flat = change.reshape(-1, 6)
+    return np.asarray(flat @ flat.T)
 
 
 def _joint_covariance(stretches: Sequence[_Stretch]) -> FloatArray:
@@ -133,8 +148,9 @@ def _joint_covariance(stretches: Sequence[_Stretch]) -> FloatArray:
     for row, stretch in enumerate(stretches):
         joint[row, :, row] = stretch.covariance
         if row and stretches[row - 1].last == stretch.first:
-            joint[row, :, row - 1] = -stretch.by_start
-            joint[row - 1, :, row] = -stretch.by_start.T
+            shared = stretch.by_start @ stretch.start_covariance
+            joint[row, :, row - 1] = -shared
+            joint[row - 1, :, row] = -shared.T
     return joint.reshape(6 * len(stretches), 6 * len(stretches))
 
 
@@ -191,8 +207,7 @@ def _stretch(
         measured = measured.followed_by(step)
     true = end[1] @ start[1].inverse()
     by_start = adjoint(true)
-    of_start = by_start @ start[2]
-    covariance = measured.covariance + end[2] + of_start @ by_start.T
+    covariance = measured.covariance + end[2] + by_start @ start[2] @ by_start.T
     drifts, T_end_now = np.zeros((6, 2)), Pose.identity()
     for step in reversed(motion):
         A, translation = adjoint(T_end_now), step.T_now_before.translation
@@ -201,7 +216,7 @@ def _stretch(
         T_end_now = T_end_now @ step.T_now_before
     innovation = (measured.T_now_before @ true.inverse()).log()
     sigmas = _step_sigmas(motion)
-    return _Stretch(start[0], end[0], innovation, covariance, drifts, of_start, sigmas)
+    return _Stretch(start[0], end[0], innovation, covariance, drifts, by_start, start[2], sigmas)
 
 
 def _step_sigmas(motion: Sequence[Odometry]) -> FloatArray:
