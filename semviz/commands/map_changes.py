@@ -54,7 +54,9 @@ class MapChangesCommand:
         if self.keep and self.write is None:
             raise SemvizError("--keep is for --write; add that, or leave it out")
         workspace = parsing.open_workspace(self.workspace)
-        semantic_map, path = workspace.read_map(self.map), self._path(workspace)
+        semantic_map, path = workspace.read_map(self.map), None
+        if self.write is not None:
+            path = parsing.path_of_new_map(workspace, self.write, replace=self.replace)
         announce_compiling("the search for tracks")
         with Steps() as steps:
             passes = _passes(self.runs, semantic_map)
@@ -76,18 +78,6 @@ class MapChangesCommand:
         if changed is not None:
             print(f"{path}: {len(changed)} elements")
         return 0
-
-    def _path(self, workspace: "Workspace") -> Path | None:
-        """Return the file of the map to write, if one is wanted."""
-        from semviz.workspace.outputs import PARQUET, check_outputs
-
-        if self.write is None:
-            return None
-        path = workspace.map_path(self.write)
-        if path.exists() and not self.replace:
-            raise SemvizError(f"{path}: exists already; choose another name or use --replace")
-        check_outputs(path, PARQUET, can_force=False, purpose="map")
-        return path
 
     def _decide(
         self, workspace: "Workspace", found: "MapChanges", before: "ChangeDecisions"

@@ -45,7 +45,6 @@ class MapMergeCommand:
 
     def run(self) -> int:
         from semviz.presentation.terminal import Steps
-        from semviz.workspace.outputs import PARQUET, check_outputs
         from semviz_annotation.mapping.drives.corrections import PoseErrors
         from semviz_annotation.mapping.drives.merge import MergeOptions
         from semviz_annotation.mapping.drives.merged_map import merge_maps
@@ -55,10 +54,7 @@ class MapMergeCommand:
         if self.write == self.map:
             raise SemvizError(f"--write {self.write} is a map to merge; choose another name")
         workspace = parsing.open_workspace(self.workspace)
-        path = workspace.map_path(self.write)
-        if path.exists() and not self.replace:
-            raise SemvizError(f"{path}: exists already; choose another name or use --replace")
-        check_outputs(path, PARQUET, can_force=False, purpose="map")
+        path = parsing.path_of_new_map(workspace, self.write, replace=self.replace)
         maps = self._maps(workspace)
         with Steps() as steps:
             fixed = (0,) if self.keep_first else ()

@@ -54,6 +54,18 @@ def open_workspace(path: Path) -> "Workspace":
     return Workspace.open(path)
 
 
+def path_of_new_map(workspace: "Workspace", name: str, *, replace: bool) -> Path:
+    """Return the file of a map to write. Raise SemvizError if it exists and is not to be replaced,
+    or cannot be written."""
+    from semviz.workspace.outputs import PARQUET, check_outputs
+
+    path = workspace.map_path(name)
+    if path.exists() and not replace:
+        raise SemvizError(f"{path}: exists already; choose another name or use --replace")
+    check_outputs(path, PARQUET, can_force=False, purpose="map")
+    return path
+
+
 def read_calibration(workspace: "Workspace", given: str | None) -> "DetectorCalibration | None":
     """Return the calibration of the workspace's detections, by option ``Calibration``, and say
     which it is."""
