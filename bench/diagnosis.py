@@ -1,7 +1,7 @@
 """Diagnoses of planted faults, as a confusion matrix of kinds.
 
     python bench/diagnosis.py
-    python bench/diagnosis.py --first-seed 0 --frames 100     (tuning; figures of CONFIDENCE)
+    python bench/diagnosis.py --first-seed 0 --frames 100     (tuning)
     python bench/diagnosis.py --frames 0 --fix-sigma-m 0.5    (runs with an inertial system)
 
 Each frame (or run of ten frames) has one planted fault and is healthy without it;
@@ -10,7 +10,8 @@ times: with the true pose and element ids, with the true pose alone, and without
 
 The named kind is the diagnosis of a failed frame, or the first secondary fault of a healthy one. It
 is right if it is the planted kind, of the planted element or detection. A number in the row
-``healthy`` outside its column is a false alarm. A run is right only if all its faults are planted.
+``healthy`` outside its column is a false alarm; as these are rare, there are ten times as many
+healthy frames. A run is right only if all its faults are planted.
 """
 
 from collections import Counter
@@ -46,6 +47,8 @@ UNDECIDED: FaultKind = "false or not mapped"
 MEANS: tuple[FaultKind, ...] = ("false detection", "missing in the map", "moved in the map")
 """What may be behind ``UNDECIDED``: one frame without ids cannot tell them apart."""
 ROADS = 8
+HEALTHY = 10
+"""Healthy frames for each of a kind."""
 LONG = 100
 """Frames of the longer runs."""
 Counts = dict[FaultKind, Counter[str]]
@@ -85,7 +88,7 @@ def print_frames(options: Options) -> None:
     for fault in KINDS:
         planted = []
         seed = options.first_seed
-        while len(planted) < options.frames:
+        while len(planted) < options.frames * (HEALTHY if fault == "healthy" else 1):
             road = roads[seed % ROADS]
             case = (
                 plant_cause(fault, seed, road)
@@ -101,7 +104,6 @@ def print_frames(options: Options) -> None:
             counts[fault] = Counter(named(case, knowledge) for case in planted)
     for knowledge, counts in frames.items():
         print_matrix(f"frames, told with: {knowledge}", counts)
-        print_trust(counts)
 
 
 def print_runs(options: Options, count: int, runs: int) -> None:
@@ -202,19 +204,6 @@ def print_matrix(title: str, counts: Counts) -> None:
         f"named right {sum(planted) / len(planted):.1%}, and left open between false, missing and "
         f"moved {sum(undecided) / len(planted):.1%}; alarms on healthy ones {alarms:.1%}"
     )
-
-
-def print_trust(counts: Counts) -> None:
-    """Of the diagnoses of each kind, the share that was right, every kind planted as often; by
-    Laplace's rule, so that none is told with certainty."""
-    said: Counter[str] = sum(counts.values(), Counter())
-    right = {
-        kind: sum(counts[cause][UNDECIDED] for cause in MEANS) if kind == UNDECIDED
-        else counts[kind][kind] if kind in counts else 0
-        for kind in get_args(FaultKind)
-    }  # fmt: skip
-    shares = {kind: (right[kind] + 1) / (said[kind] + 2) for kind in right if said[kind]}
-    print("sure: " + ", ".join(f'"{kind}": {share:.2f}' for kind, share in shares.items()))
 
 
 def short(kind: str) -> str:

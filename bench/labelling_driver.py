@@ -55,11 +55,16 @@ class Labeller(Hand):
         self.count(frame, truth)
 
     def label_between(self, frames: Sequence[int]) -> None:
-        """The filmstrip of the frames before the one that was labelled last; then what it lacks."""
+        """The filmstrip of the frames before the one that was labelled last: first what it lacks is
+        drawn in its frame, then the strip is accepted."""
         self.work.thoughts += len(frames)
         truths = {frame: truth_of(self.drive, frame) for frame in frames}
-        self.page.wait_for_function("() => !semviz.filmstrip.isSearching")
         strip = FilmstripHand(self, truths)
+        strip.wait()
+        for frame in frames:
+            if missed := strip.missed(frame):
+                self.visit(frame, truths[frame], missed)
+                strip.wait()
         with self.work.on(STRIP, frames[0]):
             key = "Control+Shift+Enter" if strip.judge() else "Control+Enter"
             while self.page.evaluate("semviz.state.view") == "filmstrip":  # more rows come
@@ -67,22 +72,33 @@ class Labeller(Hand):
         for frame, truth in truths.items():
             self.complete(frame, truth)
 
+    def visit(self, frame: int, truth: Truth, missed: Sequence[int]) -> None:
+        """Opens a frame out of the strip, and draws what that lacks; the frame's key leads back."""
+        with self.work.on("to a frame of the strip and back", frame):
+            self.work.clicks += 1
+            self.page.locator(f"#filmstrip-cells button:text-is('Frame {frame}')").click()
+            self.draw_missed(frame, truth, missed)
+        self.finish(frame, truth)
+
+    def draw_missed(self, frame: int, truth: Truth, missed: Sequence[int]) -> None:
+        """Judges what is proposed in a frame, and draws what is not."""
+        self.settle()
+        self.judge(frame, truth)
+        for element in missed:
+            for side in SIDES:
+                lacks = side in self.lacking(frame, truth, element)
+                if lacks and not self.is_offered(frame, truth, element):
+                    self.draw(frame, truth, element, side)
+                    self.settle()
+
     def complete(self, frame: int, truth: Truth) -> None:
-        """Goes to a frame of the strip if it still lacks something, and comes back."""
+        """Goes to a frame of the strip if it lacks something after all, and comes back."""
         wanted = [element for element in truth.wanted if self.lacking(frame, truth, element)]
         if wanted:
             last = self.page.evaluate("semviz.state.frame")
-            with self.work.on("to a frame of the strip and back", frame):
+            with self.work.on("to an accepted frame and back", frame):
                 self.go(frame)
-                self.settle()
-                self.judge(frame, truth)
-                for element in wanted:
-                    for side in SIDES:
-                        if side in self.lacking(frame, truth, element) and not self.is_offered(
-                            frame, truth, element
-                        ):
-                            self.draw(frame, truth, element, side)
-                            self.settle()
+                self.draw_missed(frame, truth, wanted)
                 if any(self.lacking(frame, truth, element) for element in wanted):
                     self.key("Shift+G" if self.taken else "Shift+Space")
                 self.go(last)

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from labelling_driver import Labeller
 
 
+LEAST_DRAG = 4.0
+"""CSS pixels; the page takes less for a click, and nobody sees that a pole's end is off by less."""
 IS_IN_VIEW = """(node) => {
     const [own, all] = [node, node.closest(".scroll")].map((one) => one.getBoundingClientRect());
     return own.top >= all.top && own.bottom <= all.bottom;
@@ -38,6 +40,24 @@ class FilmstripHand:
     def __init__(self, labeller: "Labeller", truths: Mapping[int, Truth]) -> None:
         self.labeller = labeller
         self.truths = truths
+
+    def wait(self) -> None:
+        """Until the strip is there, and its images are searched."""
+        self.labeller.page.wait_for_function(
+            "() => semviz.state.view === 'filmstrip' && semviz.filmstrip.found.size"
+            " && !semviz.filmstrip.isSearching"
+        )
+
+    def missed(self, frame: int) -> list[int]:
+        """Elements to be labelled in a frame that no cell is for: neither rightly nor wrongly."""
+        truth = self.truths[frame]
+        cells = [cell for cell in self.cells() if cell.frame == frame]
+        covered = {cell.element for cell in cells} | {self.lacked(cell) for cell in cells}
+        return [
+            element
+            for element in truth.wanted
+            if element not in covered and self.labeller.lacking(frame, truth, element)
+        ]
 
     def judge(self) -> bool:
         """Correct and leave out what is wrong; return whether the last key takes weak ones too.
@@ -128,8 +148,10 @@ class FilmstripHand:
             now = np.mean([now for now, _ in places], axis=0)
             self.one_drag(cell, side, now, now + common)
             return
+        _, crop = self.canvas(cell, side)
         for now, to in places:
-            if np.linalg.norm(to - now) > RIGHT_PX / 2.0:
+            on_screen = np.subtract(self.on_crop(crop, to), self.on_crop(crop, now))
+            if np.linalg.norm(to - now) > RIGHT_PX / 2.0 and np.hypot(*on_screen) > LEAST_DRAG:
                 self.one_drag(cell, side, now, to)
 
     def one_drag(self, cell: Cell, side: str, now: np.ndarray, to: np.ndarray) -> None:

@@ -1,13 +1,17 @@
 """Latency of both pages in Chromium: start, loading, stepping through frames, saving.
 
     python bench/pages.py
+    python bench/pages.py --only annotate
 
 Needs an idle machine, Chromium and the test extra. The demo is made beforehand, outside the timing.
+On a busy machine, compare the processor times of annotate: of the server, and of the page's main
+thread with the 3D pane in it.
 A frame counts as shown one screen refresh after its images were drawn, a 3D view when its pixels
 were read back. Reading back delays the page, so it is done only while 3D views are timed. One run:
 every step counts.
 """
 
+import argparse
 import os
 import shutil
 import signal
@@ -21,6 +25,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import psutil
 from playwright.sync_api import Browser, Frame, Page, sync_playwright
 
 from semviz.workspace.demo import ensure_demo
@@ -230,6 +235,30 @@ def annotate(browser: Browser) -> None:
             label(browser, url, "annotate")
 
 
+class Processors:
+    """Processor time of the server and of a page's main thread since they were read last."""
+
+    def __init__(self, page: Page) -> None:
+        self.page = page.context.new_cdp_session(page)
+        self.page.send("Performance.enable", {"timeDomain": "threadTicks"})
+        children = psutil.Process().children(recursive=True)
+        self.server = next(child for child in children if "annotate" in child.cmdline())
+        self.before = self.read()
+
+    def read(self) -> np.ndarray:
+        """Seconds of the server, of the main thread."""
+        metrics = self.page.send("Performance.getMetrics")["metrics"]
+        (main,) = (metric["value"] for metric in metrics if metric["name"] == "TaskDuration")
+        times = self.server.cpu_times()
+        return np.array([times.user + times.system, main])
+
+    def report(self, times: int) -> None:
+        now = self.read()
+        server, main = 1000.0 * (now - self.before) / times
+        self.before = now
+        print(f"    processor time of each: server {server:.0f} ms, main thread {main:.0f} ms")
+
+
 def label(browser: Browser, url: str, what: str) -> None:
     """Steps and edits as somebody at the screen has them: key to pixel, click to "Saved"."""
     for with_3d in (False, True):
@@ -240,20 +269,30 @@ def label(browser: Browser, url: str, what: str) -> None:
             page.wait_for_selector("#saved.saved")
             seconds = time.perf_counter() - start
             print(f"{what + ': page to what is saved, ' + pane + ' 3D':<44} {seconds:6.2f} s")
+            processors = Processors(page)
             report(f"{what}: frame step, {pane} 3D", steps(page, pictures=2))
+            processors.report(STEPS)
             report(f"{what}: click to saved, {pane} 3D", edits(page))
+            processors.report(STEPS)
 
 
 def main() -> None:
-    ensure_demo()
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", choices=["serve", "annotate"])
+    only = parser.parse_args().only
     print(f"load before: {os.getloadavg()[0]:.1f}; {os.cpu_count()} processors")
-    print(f"{'serve: process to address, median of ' + str(STARTS):<44} {start_seconds():6.2f} s")
+    if only != "annotate":
+        ensure_demo()
+        start = f"serve: process to address, median of {STARTS}"
+        print(f"{start:<44} {start_seconds():6.2f} s")
     names = ("chromium", "chromium-browser", "google-chrome")
     path = next(filter(None, map(shutil.which, names)), None)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=CHROMIUM)
-        inspect(browser)
-        annotate(browser)
+        if only != "annotate":
+            inspect(browser)
+        if only != "serve":
+            annotate(browser)
         browser.close()
 
 

@@ -16,6 +16,7 @@ from semviz.commands import classes, labels, map_changes, map_files, maps, runs
 from semviz.commands.backdrop import MapBackdropCommand
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
 from semviz.commands.detector_rates import DetectRatesCommand
+from semviz.commands.map_merge import MapMergeCommand
 from semviz.commands.new import NewCommand, RelinkCommand
 from semviz.commands.poses import PosesCheckCommand, PosesChooseCommand, PosesRefineCommand
 from semviz.commands.record import RecordCommand
@@ -33,6 +34,7 @@ MapCommands = Annotated[
     | Annotated[maps.MapCheckCommand, subcommand("check")]
     | Annotated[maps.MapDiffCommand, subcommand("diff")]
     | Annotated[map_changes.MapChangesCommand, subcommand("changes")]
+    | Annotated[MapMergeCommand, subcommand("merge")]
     | Annotated[maps.MapLocalizabilityCommand, subcommand("localizability")]
     | Annotated[map_files.MapExportCommand, subcommand("export")]
     | Annotated[map_files.MapImportCommand, subcommand("import")]

@@ -87,6 +87,8 @@ class AnnotatorPage:
         """The wish for the second image."""
         self._scene = PageScene(session_id, send, shared)
         self._search_queued = threading.Event()
+        self._is_searching = False
+        """Whether the page was told last that its frame is still searched."""
         self._handle = HANDLERS.bound_to(
             self, self._poses, self._drive, self._tracks, self._filmstrip, self._team
         )
@@ -200,7 +202,12 @@ class AnnotatorPage:
         self._scene.close()
 
     def _shown_frame(self) -> LabelledFrameView:
-        return self._session.frame(self._frame, self._second)
+        return self._frame_view(self._frame, self._second)
+
+    def _frame_view(self, index: int, second: SecondImage | None) -> LabelledFrameView:
+        frame = self._session.frame(index, second)
+        self._is_searching = frame.is_searching
+        return frame
 
     def _redraw(self) -> None:
         """Draw the scene in the background; the latest state wins."""
@@ -211,7 +218,7 @@ class AnnotatorPage:
     @protocol.handles(messages.GoToFrameRequest)
     def _go_to_frame(self, request: messages.GoToFrameRequest) -> None:
         with self._shared.lock:
-            frame = self._session.frame(request.frame, request.second)
+            frame = self._frame_view(request.frame, request.second)
             self._frame, self._second = request.frame, request.second
             self._shared.people_changed()
             self._send(messages.LabelledFrameEvent(reply_to=request.id, frame=frame))
@@ -387,10 +394,8 @@ class AnnotatorPage:
             if self._search_queued.is_set():
                 return  # the frame or its labels changed: the next search takes over
             self._session.image_worker.search(query)
-        if not queries:
-            return
         with self._shared.lock:  # or a newer update could go first
-            if self._frame == index:
+            if self._frame == index and self._is_searching:
                 self._send(messages.LabelledFrameEvent(frame=self._shown_frame()))
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from semviz.annotator.pose_stretches import TURNS, StretchView, stretch_view
+from semviz.reports.pose_check import unchecked_text
 from semviz.web import protocol
 from semviz.web.protocol import Part
 from semviz.workspace.pose_choices import Choice, Subject
@@ -55,6 +56,8 @@ class PosesView(Part):
     """Open ones first, worst first."""
     open: int
     sentence: str
+    unchecked: str
+    """Where the images show too little to check poses; empty if they do everywhere."""
 
 
 class PoseMark(Part):
@@ -99,6 +102,7 @@ def poses_view(review: PoseReview) -> PosesView:
         stretches=[stretch_view(one, review, agreements) for one in review.stretches],
         open=len(review.open),
         sentence=_sentence(review, shift_px),
+        unchecked=unchecked_text(check),
     )
 
 

@@ -9,6 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import numpy as np
+
 from semviz.annotator import detector_proposals, element_positions
 from semviz.annotator.association import NearbyElement, nearby_elements
 from semviz.annotator.detection_tracks import DetectionTracks, OpenTracks
@@ -26,7 +28,7 @@ from semviz.annotator.proposals import (
 )
 from semviz.annotator.proposals import label_proposals as element_proposals
 from semviz.annotator.rejected_proposals import RejectedProposals, is_left_out, is_on_tracks
-from semviz_annotation.assist.marked_image import Mark
+from semviz_annotation.assist.marked_image import Mark, both_ends_px, gaps_px
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.proposals import Proposals
 from semviz_core.base.frame import Side
@@ -58,7 +60,7 @@ def select_distinct(proposals: Sequence[LabelProposal], labels: Labels) -> list[
         for n in same:
             known[n] = _at_detection(known[n], marks)
         known = _with_detected_peaks(known, marks)
-        labelled = any(_is_labelled(mark, labels, DETECTED_PX) for mark in marks)
+        labelled = any(_is_labelled(mark, labels) for mark in marks)
         blocked = any(_is_at(mark, other) for mark in marks for other in [*rejected, *new])
         if not (same or labelled or blocked):
             new += marks
@@ -72,15 +74,37 @@ def _rank_of_detected(marks: Sequence[LabelProposal]) -> tuple[bool, float]:
 
 def _distinct_known(proposals: Sequence[LabelProposal], labels: Labels) -> list[LabelProposal]:
     """Return the proposals of known elements, best first; score 0 for those in a taken position."""
-    distinct: list[LabelProposal] = []
-    for proposal in sorted(proposals, key=lambda proposal: -(proposal.score or 0.0)):
-        if proposal.is_detected:
-            continue
-        labelled = _is_labelled(proposal, labels, TAKEN_PX, proposal.class_id)
-        if labelled or any(_is_duplicate(other, proposal) for other in distinct):
-            proposal = replace(proposal, score=0.0)
-        distinct.append(proposal)
-    return distinct
+    known = [proposal for proposal in proposals if not proposal.is_detected]
+    known.sort(key=lambda proposal: -(proposal.score or 0.0))
+    taken = _taken(known, labels)
+    return [
+        replace(proposal, score=0.0) if place in taken else proposal
+        for place, proposal in enumerate(known)
+    ]
+
+
+def _taken(known: Sequence[LabelProposal], labels: Labels) -> set[int]:
+    """The places of proposals on a label of their class, or on an earlier proposal of it."""
+    alike: dict[tuple[Pane, int], list[tuple[int, Mark]]] = defaultdict(list)
+    for place, proposal in enumerate(known):
+        if proposal.mark is not None:
+            alike[proposal.pane, proposal.class_id].append((place, proposal.mark))
+    taken: set[int] = set()
+    for (pane, class_id), marked in alike.items():  # all pairs at once: each edit needs them
+        places = [place for place, _ in marked]
+        ends_px = both_ends_px(mark for _, mark in marked)
+        labelled_px = both_ends_px(
+            Mark.of(row)
+            for row in labels.in_frame(pane.frame_index, pane.side)
+            if labels.element(row.element_id).class_id == class_id
+        )
+        is_labelled = (gaps_px(ends_px, labelled_px) < TAKEN_PX).any(axis=1)
+        is_searched = np.array([known[place].score is not None for place in places])
+        is_near = (gaps_px(ends_px, ends_px) < TAKEN_PX) & is_searched
+        is_near[~(is_searched | is_labelled)] = False
+        is_duplicate = np.triu(is_near, k=1).any(axis=0)
+        taken.update(np.array(places)[is_labelled | is_duplicate].tolist())
+    return taken
 
 
 def _at_detection(known: LabelProposal, detection: Sequence[LabelProposal]) -> LabelProposal:
@@ -134,14 +158,11 @@ def _with_peak(mark: Mark | None, detected: Mark | None) -> Mark | None:
     return mark
 
 
-def _is_labelled(
-    proposal: LabelProposal, labels: Labels, within_px: float, class_id: int | None = None
-) -> bool:
-    """Whether a label lies on a proposal; with a ``class_id``, a label of that class."""
+def _is_labelled(proposal: LabelProposal, labels: Labels) -> bool:
+    """Whether a label of any class lies on a detection."""
     return proposal.mark is not None and any(
-        proposal.mark.gap_px(Mark.of(row)) < within_px
+        proposal.mark.gap_px(Mark.of(row)) < DETECTED_PX
         for row in labels.in_frame(proposal.pane.frame_index, proposal.pane.side)
-        if class_id in (None, labels.element(row.element_id).class_id)
     )
 
 
@@ -150,14 +171,6 @@ def _is_at(detection: LabelProposal, other: LabelProposal) -> bool:
     if detection.mark is None or other.mark is None or detection.pane != other.pane:
         return False
     return detection.mark.gap_px(other.mark) < DETECTED_PX
-
-
-def _is_duplicate(first: LabelProposal, second: LabelProposal) -> bool:
-    if first.mark is None or second.mark is None or first.pane != second.pane:
-        return False
-    both_searched = first.score is not None and second.score is not None
-    may_be = both_searched and first.class_id == second.class_id
-    return may_be and first.mark.gap_px(second.mark) < TAKEN_PX
 
 
 def _is_expected(proposal: LabelProposal) -> bool:

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -107,10 +108,13 @@ class MapChangesCommand:
 
 
 def _passes(paths: Iterable[Path], semantic_map: "SemanticMap") -> "list[Pass]":
-    from semviz.runs.reader import load_run
+    from semviz.runs.stored_run import from_sound_frames
     from semviz.workspace.passes import check_drive, in_time, pass_of
 
-    passes = [pass_of(path.stem, load_run(path), semantic_map.frame) for path in paths]
+    passes = [
+        from_sound_frames(path, partial(pass_of, path.stem, frame=semantic_map.frame))
+        for path in paths
+    ]
     drives: dict[bytes, str] = {}
     for one in passes:
         check_drive(one, drives)

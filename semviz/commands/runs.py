@@ -203,7 +203,8 @@ class EvaluateCommand:
 
     def _evaluated(self, run: "Run") -> "_Evaluated":
         from semviz.runs.metrics import summarize_run
-        from semviz.runs.tables import found_diagnoses, frame_rows
+        from semviz.runs.table_metrics import found_diagnoses
+        from semviz.runs.tables import frame_rows
 
         summary = summarize_run(run)
         rows = [] if self.csv is None else frame_rows(run)
@@ -239,10 +240,10 @@ class CompareCommand:
     def run(self) -> int:
         from semviz.runs.comparison import compare_runs, comparison_text
         from semviz.runs.metrics import check_complete, parse_condition
-        from semviz.runs.reader import load_run
+        from semviz.runs.stored_run import open_run
 
         conditions = [parse_condition(text) for text in self.fail_if]
-        base, other = load_run(self.base), load_run(self.other)
+        base, other = (open_run(path, checks_frames=True) for path in (self.base, self.other))
         for path, run in ((self.base, base), (self.other, other)):
             if conditions:
                 check_complete(run, str(path))

@@ -15,6 +15,7 @@ from semviz.inspector.scene_cameras import BaseFrame, route
 from semviz.inspector.views import frame_view, run_head
 from semviz.runs.comparison import Comparison, compare_runs
 from semviz.runs.differences import MapChange, map_changes, renumbered, setups
+from semviz.runs.frame_table import frame_table
 from semviz.runs.metrics import OVERCONFIDENT_M, Errors, check_complete, parse_condition, trend
 from semviz.runs.run import Run
 from semviz.web import shapes
@@ -51,6 +52,11 @@ class Side:
     path: Path
 
 
+def _positions(run: Run) -> dict[int, int]:
+    """Return the position of each frame by its number."""
+    return {number: row for row, number in enumerate(frame_table(run).index.tolist())}
+
+
 class SideBySide:
     """Run B compared with run A, the base. Raise SemvizError if they cannot be compared."""
 
@@ -58,9 +64,7 @@ class SideBySide:
         self.base, self.other = base, other
         self.comparison = compare_runs(base.run, other.run)
         self.changes = map_changes(self.comparison, base.run, other.run)
-        self._positions = {
-            record.frame.index: position for position, record in enumerate(base.run.frames)
-        }
+        self._positions = _positions(base.run)
 
     def base_frame(self, index: int) -> views_run.BaseFrameEvent:
         """Return frame number ``index`` of the base, with the submap in its right image."""
@@ -134,9 +138,7 @@ class SideBySide:
 
     def _frames(self) -> tuple[views_run.ComparedFrame, ...]:
         """Return the frames of both runs, with their positions in run B."""
-        positions = {
-            record.frame.index: position for position, record in enumerate(self.other.run.frames)
-        }
+        positions = _positions(self.other.run)
         return tuple(
             views_run.ComparedFrame(
                 index=frame.index,

@@ -38,17 +38,13 @@ class Findings:
     elements: tuple[ElementRecord, ...]
 
 
-MOST_DIAGNOSED = 1_000
-"""Frames that the diagnosis of a run rests on, which are held in memory."""
-
-
 class RunAnalysis(Background[RunDiagnosis]):
     """Diagnoses one run, a long one by typical frames."""
 
     def __init__(self, run: Run, _: Path) -> None:
         super().__init__()
         self._run = run
-        self.positions = typical_positions(run, MOST_DIAGNOSED)
+        self.positions = typical_positions(run)
         """Of the frames that are diagnosed."""
         self._diagnosed: RunStory | None = None
 

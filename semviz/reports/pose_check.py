@@ -31,6 +31,7 @@ def check_text(check: PoseCheck, evidence: Sequence[str]) -> str:
     comparison = check.comparison
     pairs = int(comparison.compared.sum())
     lines = [f"{len(check.frames)} frames, {pairs} pairs compared with the images"]
+    lines += [text] if (text := unchecked_text(check)) else []
     for fault, labels in zip(check.faults, evidence, strict=True):
         lines += [fault.text, *([f"    {labels}"] if labels else []), f"    {fault.remedy}"]
     if not check.faults:
@@ -49,6 +50,14 @@ def check_text(check: PoseCheck, evidence: Sequence[str]) -> str:
             f"(+/- {errors[BASELINE]:.2%})"
         )
     return "\n".join(lines)
+
+
+def unchecked_text(check: PoseCheck) -> str:
+    """Return where the images show too little to check poses; empty if they do everywhere."""
+    if not check.unchecked:
+        return ""
+    stretches = ", ".join(f"{first} to {last}" for first, last in check.unchecked)
+    return f"too little evidence to check the poses of frames {stretches}"
 
 
 def warning_lines(check: PoseCheck, workspace: Path) -> list[str]:

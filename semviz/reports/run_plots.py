@@ -5,9 +5,9 @@ Each run has its metrics, diagnoses, and worst frames. The same figure gives the
 
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,16 +15,21 @@ import numpy as np
 
 from semviz.presentation import plots
 from semviz.presentation.plots import STATUS
-from semviz.runs.diagnosis import diagnosis_name, run_diagnosis, run_elements
+from semviz.runs.diagnosis import run_diagnosis, run_elements
+from semviz.runs.frame_table import STATUSES, FrameTable, frame_table
 from semviz.runs.images import frame_image
-from semviz.runs.metrics import Metrics, errors_of, is_overconfident, metrics_of
-from semviz.runs.reader import load_run
-from semviz.runs.run import FrameRecord, Run, run_names
+from semviz.runs.metrics import Metrics
+from semviz.runs.run import Run, run_names
+from semviz.runs.stored_run import from_sound_frames
+from semviz.runs.story import typical_positions
+from semviz.runs.table_metrics import metrics_of
+from semviz_core.base.localization import Status
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.diagnosis.element_statistics import ElementRecord
+from semviz_core.diagnosis.reference import FrameReference
 from semviz_core.diagnosis.run import RunDiagnosis
-from semviz_core.metrics.pose_errors import STATUSES, Outcome, ProblemFacts, visible_rows
+from semviz_core.metrics.pose_errors import Outcome, ProblemFacts, visible_rows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,16 +37,44 @@ if TYPE_CHECKING:
 
 
 FAR_M = 1.0
+SEVERITY: dict[Status, int] = {"ok": 0, "ambiguous": 1, "cannot": 2}
+"""Of frames that are not far off; the worst first."""
 
 
 @dataclass(frozen=True, eq=False)
 class RunReport:
-    """A run with everything that a report shows of it."""
+    """A run with everything that a report shows of it. Its frames stay in its file."""
 
     name: str
     """The name that ``semviz serve`` shows."""
     path: Path
     run: Run
+    elements: tuple[ElementRecord, ...]
+    """Statistics of the map elements; outliers in most frames first."""
+    recall: tuple[float | None, ...]
+    """Of each frame with a reference pose: share of the mapped elements in view that were detected;
+    None if unknown."""
+
+    @classmethod
+    def of(cls, name: str, path: Path, run: Run) -> "RunReport":
+        """Read the frames once. Raise SemvizError if there are none."""
+        if not len(run.frames):
+            raise SemvizError(f"{path}: this run has no frames to report; localize again")
+        recall: list[float | None] = []
+
+        def measured(
+            cases: Iterable[FrameReference], what: str, total: int
+        ) -> Iterator[FrameReference]:
+            for case in cases:
+                recall.append(_recall(case))
+                yield case
+
+        elements = run_elements(run, measured)
+        return cls(name, path, run, elements, tuple(recall))
+
+    @property
+    def table(self) -> FrameTable:
+        return frame_table(self.run)
 
     @cached_property
     def metrics(self) -> Metrics:
@@ -50,7 +83,7 @@ class RunReport:
     @cached_property
     def diagnoses(self) -> tuple[str, ...]:
         """Name of each frame's diagnosis."""
-        return tuple(diagnosis_name(self.run, frame) for frame in self.run.frames)
+        return tuple(self.table.texts_of(self.table.diagnosis))
 
     def image(self, row: int) -> bytes | None:
         """Return a frame's left image as JPEG or PNG; None if there is none."""
@@ -58,33 +91,30 @@ class RunReport:
 
     @cached_property
     def run_diagnosis(self) -> RunDiagnosis:
-        """Recurring faults of map and camera."""
-        return run_diagnosis(self.run)
-
-    @cached_property
-    def elements(self) -> tuple[ElementRecord, ...]:
-        """Statistics of the map elements; outliers in most frames first."""
-        return run_elements(self.run)
+        """Recurring faults of map and camera, in a long run by typical frames."""
+        return run_diagnosis(self.run, positions=typical_positions(self.run))
 
     @cached_property
     def outcomes(self) -> list[Outcome]:
         """Outcomes of the frames with a true pose, for plots."""
-        return [
-            _outcome(self, frame)
-            for frame in self.run.frames
-            if frame.frame.T_map_camera is not None
-        ]
+        return [_outcome(self, int(row)) for row in np.flatnonzero(self.table.has_truth)]
 
     def worst(self, count: int) -> list[int]:
-        """Return the rows of the ``count`` worst frames, the worst first."""
-        frames = self.run.frames
-        rows = sorted(range(len(frames)), key=lambda row: _severity(frames[row]), reverse=True)
-        return rows[:count]
+        """Return the rows of the ``count`` worst frames, the worst first.
+
+        They are overconfident, wrong, without pose, ambiguous, ok; within each by error.
+        """
+        table = self.table
+        error_m = np.nan_to_num(table.distance_m)
+        severity = np.array([SEVERITY[status] for status in STATUSES])[table.status]
+        severity[error_m > FAR_M] = max(SEVERITY.values()) + 1
+        severity[table.is_overconfident] = max(SEVERITY.values()) + 2
+        return [int(row) for row in np.lexsort((-error_m, -severity))[:count]]
 
     def worst_of_each_diagnosis(self, count: int) -> list[int]:
         """Return the worst frame's row of each diagnosis, at most ``count``, worst first."""
         first: dict[str, int] = {}
-        for row in self.worst(len(self.run.frames)):
+        for row in self.worst(len(self.table)):
             first.setdefault(self.diagnoses[row], row)
         return list(first.values())[:count]
 
@@ -93,50 +123,36 @@ def load_reports(paths: Sequence[Path]) -> list[RunReport]:
     """Read runs. Raise SemvizError if one cannot be read, has no frames, or is named twice."""
     if len({path.resolve() for path in paths}) < len(paths):
         raise SemvizError("a run is named twice; name each run once")
-    runs = [load_run(path) for path in paths]
-    for path, run in zip(paths, runs, strict=True):
-        if not run.frames:
-            raise SemvizError(f"{path}: this run has no frames to report; localize again")
     return [
-        RunReport(name, path, run)
-        for name, path, run in zip(run_names(paths), paths, runs, strict=True)
+        from_sound_frames(path, partial(RunReport.of, name, path))
+        for name, path in zip(run_names(paths), paths, strict=True)
     ]
 
 
-def _severity(record: FrameRecord) -> tuple[int, float]:
-    """Return a sort key: overconfident, wrong, no pose, ambiguous, ok; within each by error (m)."""
-    errors, status = errors_of(record), record.localization.status
-    error_m = 0.0 if errors is None else errors.distance_m
-    if is_overconfident(record.localization, errors):
-        return 4, error_m
-    if error_m > FAR_M:
-        return 3, error_m
-    return {"cannot": 2, "ambiguous": 1, "ok": 0}[status], error_m
-
-
-def _outcome(report: RunReport, record: FrameRecord) -> Outcome:
-    result, errors = record.localization, errors_of(record)
+def _outcome(report: RunReport, row: int) -> Outcome:
+    table = report.table
+    has_pose = np.isfinite(table.distance_m[row])
     return Outcome(
         suite=report.run.semantic_map.frame.name,
         method=report.name,
         noise="",
-        frame=record.frame.index,
-        facts=ProblemFacts(detections=len(result.observed), recall=_recall(record)),
-        status=result.status,
-        rte_m=None if errors is None else errors.distance_m,
-        rre_deg=None if errors is None else errors.angle_deg,
+        frame=int(table.index[row]),
+        facts=ProblemFacts(detections=int(table.detections[row]), recall=report.recall[row]),
+        status=STATUSES[table.status[row]],
+        rte_m=float(table.distance_m[row]) if has_pose else None,
+        rre_deg=float(table.angle_deg[row]) if has_pose else None,
         nees=None,
-        total_ms=sum(result.time_ms.values()),
+        total_ms=float(table.solve_ms[row]),
     )
 
 
-def _recall(record: FrameRecord) -> float | None:
+def _recall(case: FrameReference) -> float | None:
     """Return the share of the mapped elements in view that were detected; None if unknown."""
-    result, truth = record.localization, record.frame.T_map_camera
-    if truth is None or not (record.element_id >= 0).any():
+    result = case.localization
+    if case.truth is None or case.ids is None:
         return None
-    visible = result.submap.id[visible_rows(result.submap, truth.inverse(), result.camera)]
-    return float(np.isin(visible, record.element_id).mean()) if len(visible) else None
+    visible = result.submap.id[visible_rows(result.submap, case.truth, result.camera)]
+    return float(np.isin(visible, case.ids).mean()) if len(visible) else None
 
 
 LEAST_M = 1e-3
@@ -178,7 +194,7 @@ def plot_over_frames(report: RunReport) -> "Figure":
     figure = plots.new_figure(10.0, 3.2 if has_errors else 1.2)
     heights = (4.0, 1.0) if has_errors else (1.0,)
     axes = figure.subplots(len(heights), sharex=True, squeeze=False, height_ratios=heights).ravel()
-    numbers = [record.frame.index for record in report.run.frames]
+    numbers = report.table.index.tolist()
     width = min(BAR_SHARE * PLOT_WIDTH_PT / (numbers[-1] - numbers[0] + 1), WIDEST_BAR_PT)
     if has_errors:
         _draw_errors(axes[0], report.outcomes, width)
@@ -229,13 +245,9 @@ def _draw_errors(axis: "Axes", outcomes: Sequence[Outcome], width: float) -> Non
 def _draw_status(axis: "Axes", report: RunReport, width: float) -> None:
     """Draw a row of bars for each status, readable without colours."""
     for row, status in enumerate(STATUSES):
-        frame = [
-            record.frame.index
-            for record in report.run.frames
-            if record.localization.status == status
-        ]
+        frame = report.table.index[report.table.status == row]
         top = np.full(len(frame), row + 0.4)
-        _draw_bars(axis, np.array(frame), row - 0.4, top, STATUS[status].light, width)
+        _draw_bars(axis, frame, row - 0.4, top, STATUS[status].light, width)
     axis.set_yticks(range(len(STATUSES)), STATUSES, fontsize="small")
     axis.set_ylim(len(STATUSES) - 0.5, -0.5)
     axis.spines[["top", "right"]].set_visible(False)

@@ -19,6 +19,7 @@ from semviz.runs.comparison import compare_runs
 from semviz.runs.diagnosis import diagnosis_sentence
 from semviz.runs.metrics import errors_of, settings_of
 from semviz.runs.run import FrameRecord
+from semviz.runs.story import MOST_DIAGNOSED
 from semviz_core.common.errors import SemvizError
 from semviz_core.diagnosis.element_statistics import ElementRecord
 
@@ -64,7 +65,7 @@ def _metrics_table(
     rows = [
         (
             report.name,
-            str(len(report.run.frames)),
+            str(len(report.table)),
             *(_cell(report, metric) for _, metric in columns),
         )
         for report in reports
@@ -118,7 +119,7 @@ def settings_table(reports: Sequence[RunReport]) -> Table:
 
 def _settings(report: RunReport) -> dict[str, str]:
     run = report.run
-    camera, numbers = run.info.rig.left, [record.frame.index for record in run.frames]
+    camera, numbers = run.info.rig.left, report.table.index
     return {
         "file": str(report.path),
         "workspace": run.info.workspace or "-",
@@ -222,14 +223,17 @@ def _element_row(report: RunReport, record: ElementRecord) -> tuple[str, ...]:
 
 
 def reader_notes(reports: Sequence[RunReport]) -> list[str]:
-    """Return notes on incomplete runs and missing ground truth."""
+    """Return notes on incomplete and long runs, and on missing ground truth."""
     notes = [f"{report.name}: {report.run.note}" for report in reports if report.run.note]
     for report in reports:
-        unknown = sum(truth is None for truth in report.run.truths)
-        if unknown == len(report.run.frames):
+        unknown = int((~report.table.has_truth).sum())
+        if unknown == len(report.table):
             notes.append(f"{report.name}: no true poses, so errors are unknown")
         elif unknown:
             notes.append(f"{report.name}: {unknown} frames have no true pose")
+        if len(report.table) > MOST_DIAGNOSED:
+            typical = f"{MOST_DIAGNOSED:,} typical frames"
+            notes.append(f"{report.name}: recurring faults are those of {typical}")
     return notes
 
 
@@ -271,7 +275,7 @@ def run_report_html(reports: Sequence[RunReport], pictures: int) -> str:
 
 def _header(reports: Sequence[RunReport]) -> Html:
     sequences = dict.fromkeys(report.run.semantic_map.frame.name for report in reports)
-    frames = sum(len(report.run.frames) for report in reports)
+    frames = sum(len(report.table) for report in reports)
     command = f"semviz serve {shlex.join(str(report.path) for report in reports)}"
     return element(
         "header",

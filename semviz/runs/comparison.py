@@ -2,21 +2,24 @@
 
 Frames are matched by number, and all figures are of the frames that both runs have. A frame is
 good if it is ``ok`` and less than 1 m off; unless both runs have its true pose, ``ok`` is enough.
-A fixed frame is good only in the other run, a broken one only in the base.
+A fixed frame is good only in the other run, a broken one only in the base. Everything follows from
+the tables of the runs; no frame is read.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from semviz.presentation.terminal import Table
-from semviz.runs.metrics import DIAGNOSED, Errors, Metrics, errors_of, metrics_of, settings_of
+from semviz.runs.frame_table import STATUSES, FrameTable, frame_table
+from semviz.runs.metrics import DIAGNOSED, Errors, Metrics, errors_of, settings_of
 from semviz.runs.run import FrameRecord, Run
-from semviz.runs.tables import diagnosis_counts
+from semviz.runs.table_metrics import diagnosis_counts, metrics_of
 from semviz_annotation.mapping.quality.diff import MapDiff, diff_maps
 from semviz_core.base.localization import Status
+from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 
 GOOD_BELOW_M = 1.0
@@ -127,27 +130,29 @@ def compare_runs(base: Run, other: Run) -> Comparison:
         raise SemvizError(
             f"the runs are of '{names[0]}' and of '{names[1]}'; compare runs of one sequence"
         )
-    numbers = [{frame.frame.index for frame in run.frames} for run in (base, other)]
-    common = numbers[0] & numbers[1]
-    if not common:
+    tables = frame_table(base), frame_table(other)
+    numbers = tables[0].index, tables[1].index
+    common = np.intersect1d(*numbers)
+    if not len(common):
         raise SemvizError(f"the runs have no frame in common: {_spans(base)}; {_spans(other)}")
-    common_base, common_other = (_only(run, common) for run in (base, other))
-    pairs = list(zip(common_base.frames, common_other.frames, strict=True))
-    notes = list(_truth_notes(pairs))  # first, because it rejects runs of different sequences
+    rows = [np.searchsorted(all_of, common) for all_of in numbers]
+    notes = list(_truth_notes(*(table.truth_m[of] for table, of in zip(tables, rows, strict=True))))
+    sides = [_results(table, of) for table, of in zip(tables, rows, strict=True)]
+    only = [np.setdiff1d(all_of, common).tolist() for all_of in numbers]
     same_map = base.semantic_map.digest == other.semantic_map.digest
     return Comparison(
-        frames=tuple(frame_change(*pair) for pair in pairs),
-        base=metrics_of(common_base),
-        other=metrics_of(common_other),
-        diagnosed=(diagnosis_counts(common_base), diagnosis_counts(common_other)),
-        only_base=tuple(sorted(numbers[0] - common)),
-        only_other=tuple(sorted(numbers[1] - common)),
+        frames=tuple(_change(*frame) for frame in zip(common.tolist(), *sides, strict=True)),
+        base=metrics_of(base, rows[0]),
+        other=metrics_of(other, rows[1]),
+        diagnosed=(diagnosis_counts(base, rows[0]), diagnosis_counts(other, rows[1])),
+        only_base=tuple(only[0]),
+        only_other=tuple(only[1]),
         differences=tuple(_setting_differences(base, other)),
         maps=None if same_map else diff_maps(base.semantic_map, other.semantic_map),
         notes=(
             *(f"{name}: {run.note}" for name, run in _named(base, other) if run.note),
-            *_left_out(numbers[0] - common, "base"),
-            *_left_out(numbers[1] - common, "other run"),
+            *_left_out(len(only[0]), "base"),
+            *_left_out(len(only[1]), "other run"),
             *notes,
         ),
     )
@@ -157,51 +162,73 @@ def _named(base: Run, other: Run) -> tuple[tuple[str, Run], ...]:
     return ("base", base), ("other run", other)
 
 
-def _only(run: Run, numbers: set[int]) -> Run:
-    return replace(run, frames=tuple(frame for frame in run.frames if frame.frame.index in numbers))
-
-
 def _spans(run: Run) -> str:
-    if not run.frames:
-        return "no frames"
-    first, last = run.frames[0].frame.index, run.frames[-1].frame.index
-    return f"{len(run.frames)} from {first} to {last}"
+    numbers = frame_table(run).index
+    return f"{len(numbers)} from {numbers[0]} to {numbers[-1]}" if len(numbers) else "no frames"
 
 
-def _left_out(numbers: set[int], where: str) -> Iterator[str]:
-    if numbers:
-        some = "frame is" if len(numbers) == 1 else "frames are"
-        yield f"{len(numbers)} {some} only in the {where}, and left out"
+def _left_out(count: int, where: str) -> Iterator[str]:
+    if count:
+        some = "frame is" if count == 1 else "frames are"
+        yield f"{count} {some} only in the {where}, and left out"
 
 
-def _truth_notes(pairs: list[tuple[FrameRecord, FrameRecord]]) -> Iterator[str]:
-    """Yield notes on the true poses. Raise SemvizError if they are of two sequences."""
-    poses = [(a.frame.T_map_camera, b.frame.T_map_camera) for a, b in pairs]
-    apart_m = [float(np.linalg.norm(a.translation - b.translation)) for a, b in poses if a and b]
-    if apart_m and np.median(apart_m) > OTHER_SEQUENCE_M:
+def _truth_notes(base_m: FloatArray, other_m: FloatArray) -> Iterator[str]:
+    """Yield notes on the true positions (n, 3). Raise SemvizError if they are of two sequences."""
+    apart_m = np.linalg.norm(base_m - other_m, axis=1)
+    known_m = apart_m[np.isfinite(apart_m)]
+    if len(known_m) and np.median(known_m) > OTHER_SEQUENCE_M:
         raise SemvizError(
-            f"true poses of the same frames are {np.median(apart_m):.1f} m apart (median): "
+            f"true poses of the same frames are {np.median(known_m):.1f} m apart (median): "
             "the runs are of two drives; compare runs of one"
         )
-    if apart_m and max(apart_m) > SAME_TRUTH_M:
-        yield f"the true poses of the runs differ, by up to {max(apart_m):.3f} m"
-    if len(apart_m) < len(pairs):
-        unknown = len(pairs) - len(apart_m)
-        yield f"{unknown} of {len(pairs)} frames have no true pose: compared by status alone"
+    if len(known_m) and known_m.max() > SAME_TRUTH_M:
+        yield f"the true poses of the runs differ, by up to {known_m.max():.3f} m"
+    if unknown := len(apart_m) - len(known_m):
+        yield f"{unknown} of {len(apart_m)} frames have no true pose: compared by status alone"
+
+
+class _Result(NamedTuple):
+    """What one run says of a frame."""
+
+    status: Status
+    errors: Errors | None
+    has_truth: bool
+
+
+def _results(table: FrameTable, rows: IntArray) -> list[_Result]:
+    errors = np.stack([table.distance_m[rows], table.angle_deg[rows]], axis=1)
+    return [
+        _Result(STATUSES[status], None if np.isnan(of[0]) else Errors(*of), has_truth)
+        for status, of, has_truth in zip(
+            table.status[rows].tolist(),
+            errors.tolist(),
+            table.has_truth[rows].tolist(),
+            strict=True,
+        )
+    ]
 
 
 def frame_change(base: FrameRecord, other: FrameRecord) -> FrameChange:
     """Compare one frame of both runs."""
-    errors = errors_of(base), errors_of(other)
-    known = base.frame.T_map_camera is not None and other.frame.T_map_camera is not None
+    sides = (
+        _Result(
+            record.localization.status, errors_of(record), record.frame.T_map_camera is not None
+        )
+        for record in (base, other)
+    )
+    return _change(base.frame.index, *sides)
+
+
+def _change(index: int, base: _Result, other: _Result) -> FrameChange:
+    known = base.has_truth and other.has_truth
     good = [
-        record.localization.status == "ok"
-        and (not known or (error is not None and error.distance_m < GOOD_BELOW_M))
-        for record, error in zip((base, other), errors, strict=True)
+        side.status == "ok"
+        and (not known or (side.errors is not None and side.errors.distance_m < GOOD_BELOW_M))
+        for side in (base, other)
     ]
     change: Change = "same" if good[0] == good[1] else "fixed" if good[1] else "broken"
-    status = base.localization.status, other.localization.status
-    return FrameChange(base.frame.index, status, errors, change)
+    return FrameChange(index, (base.status, other.status), (base.errors, other.errors), change)
 
 
 def _setting_differences(base: Run, other: Run) -> Iterator[Difference]:

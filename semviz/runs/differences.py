@@ -8,12 +8,14 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, TypeAlias
+from zlib import crc32
 
 import numpy as np
 
 from semviz.runs.comparison import Comparison
+from semviz.runs.frame_table import frame_table
 from semviz.runs.metrics import settings_of
-from semviz.runs.run import FrameRecord, Run
+from semviz.runs.run import Run
 from semviz_annotation.mapping.quality.diff import MapDiff
 from semviz_core.base.semantic_map import SemanticMap
 
@@ -103,14 +105,12 @@ def _ids_by_name(semantic_map: SemanticMap) -> Mapping[str, int]:
 
 def _frames_by_element(run: Run) -> Mapping[int, set[int]]:
     """Return the numbers of the frames that observed or matched a map element, by its id."""
-    frames: defaultdict[int, set[int]] = defaultdict(set)
-    for record in run.frames:
-        refinement = record.localization.refinement
-        ids = [record.element_id[record.element_id >= 0]]
-        if refinement is not None:
-            ids.append(record.localization.submap.id[refinement.pairs[:, 1]])
-        for id in np.unique(np.concatenate(ids)).tolist():
-            frames[id].add(record.frame.index)
+    table, frames = frame_table(run), defaultdict[int, set[int]](set)
+    ids = np.concatenate([table.detected_id, table.pair_id])
+    rows = np.concatenate([table.frame_of_detection(), table.frame_of_pair()])
+    real = ids >= 0
+    for id, number in zip(ids[real].tolist(), table.index[rows[real]].tolist(), strict=True):
+        frames[id].add(number)
     return frames
 
 
@@ -164,11 +164,11 @@ def _options(base: Run, other: Run) -> Iterator[Setup]:
 
 def _images(base: Run, other: Run) -> tuple[str, str]:
     """Return the number of common frames with images, and how many of them differ."""
-    base_images = {frame.frame.index: _image(frame) for frame in base.frames}
+    base_images = _image_digests(base)
     pairs = [
-        (base_images[frame.frame.index], _image(frame))
-        for frame in other.frames
-        if frame.frame.index in base_images
+        (base_images[number], digest)
+        for number, digest in _image_digests(other).items()
+        if number in base_images
     ]
     counts = [sum(pair[side] is not None for pair in pairs) for side in (0, 1)]
     different = sum(type(a) is type(b) and a != b for a, b in pairs)
@@ -176,9 +176,12 @@ def _images(base: Run, other: Run) -> tuple[str, str]:
     return _frame_count(counts[0]), _frame_count(counts[1]) + note
 
 
-def _image(record: FrameRecord) -> bytes | str | None:
-    """Return the left image, or the name of its file."""
-    return record.image or record.image_file or None
+def _image_digests(run: Run) -> dict[int, int | str | None]:
+    """Return a checksum of each frame's left image, or the name of its file, by frame number."""
+    return {
+        frame.frame.index: frame.image_file or None if frame.image is None else crc32(frame.image)
+        for frame in run.frames
+    }
 
 
 def _frame_count(frames: int) -> str:

@@ -86,47 +86,11 @@ NEITHER = frozenset({"frames", "share_ambiguous"})
 and worse than located ones."""
 
 
-def metrics_of(run: Run) -> Metrics:
-    """Return the metrics of a run.
-
-    Errors are of the frames with a pose and a true one, ``share_below_...`` and
-    ``share_sure_and_wrong`` of all frames with a true pose, other shares of all frames.
-    """
-    summary, frames = summarize_run(run), len(run.frames)
-    accuracy = summary.accuracy
-    with_truth = sum(truth is not None for truth in run.truths)
-    status = {name: group.frames for name, group in summary.by_status.items()}
-    wrong = sum(is_overconfident(frame.localization, errors_of(frame)) for frame in run.frames)
-    return {
-        "frames": float(frames),
-        "mean_rte_m": accuracy.rte_m.mean,
-        "q1_rte_m": accuracy.rte_m.q1,
-        "median_rte_m": accuracy.rte_m.q2,
-        "q3_rte_m": accuracy.rte_m.q3,
-        "mean_rre_deg": accuracy.rre_deg.mean,
-        "q1_rre_deg": accuracy.rre_deg.q1,
-        "median_rre_deg": accuracy.rre_deg.q2,
-        "q3_rre_deg": accuracy.rre_deg.q3,
-        "share_below_1m": accuracy.share_below_1m,
-        "share_below_1deg": accuracy.share_below_1deg,
-        "coverage": _share(status["ok"], frames),
-        "share_ambiguous": _share(status["ambiguous"], frames),
-        "share_cannot": _share(status["cannot"], frames),
-        "share_sure_and_wrong": _share(wrong, with_truth),
-        "median_time_ms": summary.time_ms_median,
-        "p95_time_ms": summary.time_ms_p95,
-    }
-
-
 def trend(name: str, base: float | None, other: float | None) -> Trend:
     """Return whether the other run is better in a metric; ``same`` if that is unknown."""
     if base is None or other is None or base == other or name in NEITHER:
         return "same"
     return "better" if (other > base) == (name in MORE_IS_BETTER) else "worse"
-
-
-def _share(count: int, total: int) -> float | None:
-    return count / total if total else None
 
 
 BASE = "base"

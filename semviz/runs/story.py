@@ -267,11 +267,13 @@ def _merged_passes(centers: FloatArray, starts: IntArray, part_m: float) -> list
     return merged
 
 
+MOST_DIAGNOSED = 1_000
+"""Frames that the diagnosis of a run rests on, which are held in memory."""
 STRETCH = 50
 """Consecutive frames, so that several see the same elements."""
 
 
-def typical_positions(run: Run, most: int) -> list[int]:
+def typical_positions(run: Run, most: int = MOST_DIAGNOSED) -> list[int]:
     """Return the positions of at most so many frames, in order, that stand for a long run.
 
     They are whole stretches: half of them where most frames are wrong, the others evenly spread.

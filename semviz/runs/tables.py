@@ -1,17 +1,12 @@
-"""Tables of runs: one row per frame, and the number of frames of each diagnosis."""
+"""Tables of runs: one row per frame."""
 
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import get_args
 
-from semviz.runs.diagnosis import STARTING_OR_LOST, diagnosis_name, noticed_faults
-from semviz.runs.frame_table import KNOWN_TABLES
-from semviz.runs.metrics import DIAGNOSED, Metrics
+from semviz.runs.diagnosis import diagnosis_name, noticed_faults
 from semviz.runs.run import FrameRecord, Run
 from semviz_core.base.pose import Pose
 from semviz_core.common.files import csv_text, replacing
-from semviz_core.diagnosis.fault import FaultKind
 from semviz_core.metrics.pose_errors import pose_error
 
 Row = dict[str, str | int | float | None]
@@ -64,19 +59,3 @@ def write_csv(rows: Sequence[Row], path: Path) -> None:
     table = csv_text([header, *(list(row.values()) for row in rows)], line_end="\r\n")
     with replacing(path) as temporary:
         temporary.write_text(table, encoding="utf-8", newline="")
-
-
-def found_diagnoses(run: Run) -> dict[str, int]:
-    """Return the diagnoses of a run with the number of frames of each, most frequent first."""
-    table = KNOWN_TABLES.get(run)
-    if table is None:
-        names = [diagnosis_name(run, record) for record in run.frames]
-    else:
-        names = table.texts_of(table.diagnosis)
-    return dict(Counter(names).most_common())
-
-
-def diagnosis_counts(run: Run) -> Metrics:
-    """Return the number of frames of each diagnosis as metrics, 0 for those that none has."""
-    found, kinds = found_diagnoses(run), (*get_args(FaultKind), STARTING_OR_LOST)
-    return {f"{DIAGNOSED}{kind.replace(' ', '_')}": float(found.get(kind, 0)) for kind in kinds}

@@ -1,12 +1,14 @@
 """Runs as passes through one map: their frames, dates, and which of them count."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
 
 from semviz.runs.run import Run, assumed_detector
 from semviz_annotation.mapping.passes.evidence import Pass
+from semviz_core.base.localization import Localization
 from semviz_core.base.semantic_map import MapFrame
 from semviz_core.common.errors import SemvizError
 
@@ -15,17 +17,32 @@ _FIRST_DATE_S = 3e8
 
 
 def pass_of(name: str, run: Run, frame: MapFrame) -> Pass:
-    """Return a run as a pass. Raise SemvizError if it is not in the frame of the map."""
+    """Return a run as a pass, with what it needs of each frame, which is read once.
+
+    Raise SemvizError if the run is not in the frame of the map.
+    """
     if run.semantic_map.frame.name != frame.name:
         raise SemvizError(
             f"{name}: is in the frame {run.semantic_map.frame.name}, the map in {frame.name}; "
             "leave it out, or localize it in this map"
         )
-    frames = tuple(record.frame for record in run.frames)
+    read = [(record.frame, _result(record.localization)) for record in run.frames]
+    frames, results = tuple(frame for frame, _ in read), tuple(result for _, result in read)
     start_s = frames[0].time_s if frames else None
     is_date = start_s is not None and start_s > _FIRST_DATE_S
-    return Pass(
-        name, frames, run.localizations, assumed_detector(run.info), start_s if is_date else None
+    return Pass(name, frames, results, assumed_detector(run.info), start_s if is_date else None)
+
+
+def _result(localization: Localization) -> Localization:
+    """Return what was detected and where from, without how it was found."""
+    return replace(
+        localization,
+        prior=None,
+        submap=localization.submap[:0],
+        match=None,
+        search=None,
+        refinement=None,
+        alternatives=(),
     )
 
 

@@ -45,6 +45,7 @@ def page(served: Served, page: "Page") -> "Page":
     driver.open(served.url)
     page.keyboard.press("Shift+E")
     driver.goto(4)
+    page.wait_for_function("() => !semviz.state.shownFrame.is_searching", timeout=WAIT_MS)
     page.keyboard.press("Control+Enter")
     page.wait_for_function(
         "() => semviz.state.view === 'filmstrip' && semviz.filmstrip.frames.length"
@@ -168,3 +169,43 @@ def test_without_key_frames_the_strip_looks_ahead(served: Served, page: "Page") 
         "semviz.socket.request('search_filmstrip', { frames: [99] }).catch((error) => error.code)"
     )
     assert refused == "not_found"
+
+
+def test_a_frame_opened_from_the_strip_leads_back_to_it(page: "Page", served: Served) -> None:
+    """With the answers as they were; what was accepted in that frame is not on the strip again."""
+    frame = page.evaluate("semviz.filmstrip.frames[1]")
+    answered = next(cell for cell in cells(page) if cell["frame"] != frame)
+    page.evaluate("(key) => semviz.filmstrip.flip(key)", answered["key"])
+    page.click(f"#filmstrip-cells button:text-is('Frame {frame}')")
+    page.wait_for_selector("#message:has-text('goes back to it')")
+    page.wait_for_function(
+        f"() => semviz.state.shownFrame?.index === {frame} && !semviz.state.shownFrame.is_searching"
+    )
+    page.keyboard.press("Control+Shift+Enter")
+    page.wait_for_function(
+        "() => semviz.state.view === 'filmstrip' && !semviz.state.pending.length"
+        " && semviz.filmstrip.found.size && !semviz.filmstrip.isSearching",
+        timeout=WAIT_MS,
+    )
+    assert served.labels.review(frame) == "reviewed"
+    now = {cell["key"]: cell for cell in cells(page)}
+    assert now[answered["key"]]["taken"] is not answered["taken"]
+    assert frame not in {cell["frame"] for cell in now.values() if cell["sure"]}
+    goes_to = page.evaluate("semviz.filmstrip.goesTo")
+    while page.evaluate("semviz.state.view") == "filmstrip":
+        page.keyboard.press("Control+Enter")
+    page.wait_for_function(f"() => semviz.state.frame === {goes_to}")
+
+
+def test_rows_with_weak_marks_come_first_and_all_are_in_view(page: "Page") -> None:
+    """So that one look and one key are enough, for some fifteen elements."""
+    weak = page.evaluate(
+        "semviz.filmstrip.grid.rows.map((row) => semviz.filmstrip.cells.some(({ proposal }) =>"
+        " proposal.id === row.id && !proposal.is_confident))"
+    )
+    assert weak == sorted(weak, reverse=True)
+    assert 5 <= len(weak) <= 17
+    heights = page.locator("#filmstrip-cells").evaluate(
+        "one => [one.scrollHeight, one.clientHeight]"
+    )
+    assert heights[0] <= heights[1]

@@ -101,6 +101,7 @@ def test_nothing_overlaps_and_the_card_is_whole_in_every_state(
         left, right = (((u, 60.0), (u, 260.0)) for u in (600.0, 580.0))
         driver.draw_pair(POLE, left, right)
     driver.clear_selection()
+    pane = bounding_box(page, ".map")
     columns = [bounding_box(page, selector)["width"] for selector in (".left .panel", "#card")]
     assert columns == pytest.approx(SIZES[size], abs=20)
     states = {"idle": [], "history": ["h"], "back": ["h"], "bright": ["b"], "naming": ["Control+b"]}
@@ -114,6 +115,7 @@ def test_nothing_overlaps_and_the_card_is_whole_in_every_state(
     page.wait_for_selector("#card .numbers")
     driver.settle()
     assert faults(page, size) == []
+    assert bounding_box(page, ".map") == pane, "at another size the 3D pane is drawn anew"
     assert page.locator("#card").evaluate("card => card.scrollHeight <= card.clientHeight")
     images = [bounding_box(page, f"#{side}-image canvas.marks") for side in ("left", "right")]
     assert images[0]["width"] == images[1]["width"]

@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,9 +12,12 @@ from annotator_page import Served, annotating
 from journeys.driver import LabelDriver
 from turned_drive import TURNED, drive, labels, measured_town, wrong_poses
 
-from semviz.workspace.pose_review import check_poses, motions_path
+from semviz.annotator import pose_views
+from semviz.reports.pose_check import check_text
+from semviz.workspace.pose_review import check_poses, known_check, motions_path
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.frame import Frame
+from semviz_core.pose_checks.faults import PoseCheck
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -97,6 +101,26 @@ def test_a_turned_stretch_is_measured_refined_and_undone(
     page.keyboard.press("Control+Shift+Z")
     page.wait_for_selector("#tab-mark", state="hidden", timeout=WAIT_MS)
     assert turned_deg(used_poses(served)) < given - 0.5
+
+
+@pytest.fixture  # asked for before the page
+def dark(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> PoseCheck:
+    """A check of a drive whose images show nothing from frame 8 to 10."""
+    check = known_check(workspace)
+    assert check is not None
+    compared = check.comparison.compared.copy()
+    compared[8:10] = False
+    check = replace(check, comparison=replace(check.comparison, compared=compared))
+    monkeypatch.setattr(pose_views, "known_check", lambda _: check)
+    return check
+
+
+def test_a_stretch_without_evidence_is_said_as_such(dark: PoseCheck, poses: LabelDriver) -> None:
+    said = "too little evidence to check the poses of frames 8 to 10"
+    assert dark.unchecked == ((8, 10),)
+    assert said in check_text(dark, [""] * len(dark.faults))
+    poses.page.keyboard.press("F4")
+    poses.page.wait_for_selector(f"#pose-count:has-text('{said}')", timeout=WAIT_MS)
 
 
 def test_the_address_leads_to_the_view_whose_keys_draw_nothing(

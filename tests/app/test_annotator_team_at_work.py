@@ -160,7 +160,7 @@ def test_what_was_sent_back_is_a_list_of_who_has_the_frame(
     assert "Sent back" in first.inner_text()
     assert tester.locator("#jumps .row:has-text('Sent back')").count() == 0
     first.click()
-    mara.wait_for_function("() => semviz.state.frame === 0")
+    mara.wait_for_function("() => semviz.state.shownFrame?.index === 0")
     mara.keyboard.press("Enter")
     settled(mara)
     mara.wait_for_function("() => !semviz.state.labels.team.sent_back.length", timeout=WAIT_MS)

@@ -154,6 +154,7 @@ INPUTS = {
     "map changes": {"workspace", "runs"},
     "map check": {"workspace"},
     "map diff": {"workspace"},
+    "map merge": {"workspace", "others"},
     "map localizability": {"workspace"},
     "map export": {"workspace"},
     "map import": {"workspace", "file"},

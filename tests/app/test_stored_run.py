@@ -17,16 +17,21 @@ from semviz.inspector.context import EmbeddedAnnotators, RunLibrary
 from semviz.inspector.messages import GetStoryRequest, GoToPositionRequest, OpenRunRequest
 from semviz.inspector.server import InspectorSession
 from semviz.inspector.views import FrameEvent, RunEvent
+from semviz.reports.run_plots import RunReport
+from semviz.reports.run_report import comparison_tables
 from semviz.runs import stored_run
+from semviz.runs.comparison import compare_runs
 from semviz.runs.frame_table import frame_table
 from semviz.runs.metrics import summarize_run
 from semviz.runs.reader import load_run
 from semviz.runs.run import FrameRecord, Run
 from semviz.runs.stored_run import open_run
-from semviz.runs.tables import found_diagnoses, frame_rows
+from semviz.runs.table_metrics import found_diagnoses
+from semviz.runs.tables import frame_rows
 from semviz.runs.writer import RunWriter
 from semviz.web.protocol import Event, Request
 from semviz.web.viser_servers import ViserServers
+from semviz.workspace.passes import pass_of
 from semviz_core.common.errors import SemvizError
 
 made_up: dict[str, Any] = runpy.run_path(str(Path(__file__).parents[2] / "bench" / "recording.py"))
@@ -93,6 +98,24 @@ def test_a_run_is_evaluated_with_one_frame_after_the_other(
     assert found_diagnoses(opened) == found_diagnoses(whole)
     assert read == list(range(FRAMES)), "each once: nothing that needs them all at a time"
     assert frame_rows(opened) == frame_rows(whole)
+
+
+def test_compare_report_and_passes_read_each_frame_once(
+    path: Path, read: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stored_run, "HELD", 3)
+    opened = open_run(path, checks_frames=True)
+    assert compare_runs(opened, opened).as_dict()["same"] == FRAMES
+    assert read == list(range(FRAMES)), "compare: what was read and checked at opening"
+    read.clear()
+    reported = RunReport.of("run", path, open_run(path))
+    assert comparison_tables([reported])
+    assert len(reported.outcomes) == FRAMES
+    assert read == list(range(FRAMES)), "report: before faults and pictures"
+    read.clear()
+    one = pass_of("run", open_run(path), MAP.frame)
+    assert read == list(range(FRAMES))
+    assert not any(len(result.submap) for result in one.localizations)
 
 
 def test_only_a_few_frames_are_held(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

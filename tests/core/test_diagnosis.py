@@ -9,11 +9,15 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from support.planted_causes import CAUSES, plant_cause, plant_unknown
 from support.planted_faults import PLANTED, WHOLE, Given, Planted, plant
 from support.planted_runs import PlantedRun, plant_in_run
 
 from semviz_core.base.localization import Localization
+from semviz_core.base.pose import Pose, heading_rad
+from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.diagnosis import reference
 from semviz_core.diagnosis import run as run_module
 from semviz_core.diagnosis.checks import find_faults
@@ -27,14 +31,16 @@ from semviz_core.diagnosis.fault import (
     GroundTruthLevel,
 )
 from semviz_core.diagnosis.frame import diagnose_frame
+from semviz_core.diagnosis.ray_meetings import RayMeetings, UnmatchedRays, Views
 from semviz_core.diagnosis.reference import is_healthy
-from semviz_core.diagnosis.run import RunDiagnosis, UnmatchedRays, diagnose_run, intersect_rays
+from semviz_core.diagnosis.run import RunDiagnosis, diagnose_run
 from semviz_core.research.evaluation.problems import (
     DETECTOR,
     default_road,
     make_problem,
     mapped_elements,
 )
+from semviz_core.research.evaluation.roads import simulated_road
 
 UNDECIDED: tuple[FaultKind, ...] = ("false or not mapped", "moved in the map")
 """Kinds that one frame gives to an unmatched detection without known ids."""
@@ -129,6 +135,45 @@ def test_a_run_tells_odometry_from_the_poses_of_its_images() -> None:
                       for found, truth in drive.frames]  # fmt: skip
             found = diagnose_run(frames, drive.semantic_map, DETECTOR, odometry=drive.odometry)
             assert [cause.kind for cause in found.causes] == [fault] * (fault != "healthy")
+
+
+def blind_diagnosis(run: PlantedRun) -> RunDiagnosis:
+    frames = [(frame, None) for frame, _ in run.frames]
+    return diagnose_run(frames, run.semantic_map, DETECTOR, odometry=run.odometry)
+
+
+def test_a_drift_of_few_frames_is_told_by_all_poses_together() -> None:
+    """No step of 3 m shows 3 to 10 % beside the noise of its two poses; the way of 27 m does."""
+    run = plant_in_run("wrong odometry", 2001, simulated_road(2001))
+    assert run is not None
+    assert [fault.kind for fault in blind_diagnosis(run).causes] == ["wrong odometry"]
+
+
+@pytest.mark.parametrize("row", [0, 4, 9])
+def test_one_wrong_pose_is_no_drift(row: int) -> None:
+    run = plant_in_run("healthy", 2001, simulated_road(2001))
+    assert run is not None
+    frames = list(run.frames)
+    result, truth = frames[row]
+    assert result.T_camera_map is not None
+    off = Pose(np.eye(3), np.array([0.0, 0.0, 1.5])) @ result.T_camera_map
+    frames[row] = replace(result, T_camera_map=off), truth
+    causes = blind_diagnosis(replace(run, frames=tuple(frames))).causes
+    assert "wrong odometry" not in [fault.kind for fault in causes]
+
+
+def with_right_compass(result: Localization, truth: GroundTruth) -> Localization:
+    assert result.prior is not None
+    heading = heading_rad(truth.T_camera_map.inverse())
+    return replace(result, prior=replace(result.prior, heading_rad=heading))
+
+
+def test_a_track_shows_a_compass_that_single_frames_cannot() -> None:
+    run = plant_in_run("wrong heading prior", 3000, simulated_road(3000))
+    assert run is not None
+    assert [cause.kind for cause in blind_diagnosis(run).causes] == ["wrong heading prior"]
+    right = [(with_right_compass(*frame), frame[1]) for frame in run.frames]
+    assert blind_diagnosis(replace(run, frames=tuple(right))).causes == ()
 
 
 def test_odometry_without_poses_tells_nothing() -> None:
@@ -277,6 +322,7 @@ def test_what_a_detector_missed_is_named() -> None:
 
 
 Blind = Callable[[GroundTruth], GroundTruth | None]
+BLIND: tuple[Blind, ...] = (lambda truth: truth, ids_unknown, lambda truth: None)
 
 
 def diagnosed_run(run: PlantedRun, blind: Blind = lambda truth: truth) -> RunDiagnosis:
@@ -308,7 +354,7 @@ def test_a_frame_that_reports_a_fault_twice_counts_once(monkeypatch: pytest.Monk
 
 
 def test_a_run_in_which_nothing_is_wrong_names_nothing() -> None:
-    for blind in (lambda truth: truth, ids_unknown, lambda truth: None):
+    for blind in BLIND:
         diagnosis = diagnosed_run(planted_run("healthy"), blind)
         assert diagnosis.calibration is None
         assert diagnosis.elements == ()
@@ -336,15 +382,60 @@ def test_a_run_of_no_frames_says_nothing() -> None:
     assert diagnose_run([], run.semantic_map) == RunDiagnosis(None, (), 0)
 
 
-def test_rays_of_three_frames_meet_where_the_element_stands() -> None:
-    centers = np.array([[0.0, 0.0], [4.0, 0.0], [8.0, 0.0], [8.0, 0.0]])
-    ways = np.array([[20.0, 6.0], [20.0, 6.0], [20.0, 6.0], [30.0, -9.0]]) - centers
-    toward = ways / np.linalg.norm(ways, axis=1, keepdims=True)
-    rays = UnmatchedRays(
-        np.array([0, 1, 2, 2]), np.zeros(4, int), np.zeros(4, int), centers, toward
-    )
-    (point,) = intersect_rays(rays)
+def along_a_road(count: int) -> Views:
+    """Frames every 3 m along x, looking ahead."""
+    center_m = np.column_stack([3.0 * np.arange(count), np.zeros(count)])
+    return Views(center_m, np.tile([1.0, 0.0], (count, 1)), float(np.deg2rad(40.0)), DETECTOR)
+
+
+def rays_of(views: Views, frame: IntArray, toward: FloatArray) -> UnmatchedRays:
+    row, class_id = np.arange(len(frame)), np.zeros(len(frame), int)
+    return UnmatchedRays(frame, row, class_id, views.center_m[frame], toward)
+
+
+def towards(views: Views, frame: IntArray, at_m: list[float]) -> FloatArray:
+    ways = at_m - views.center_m[frame]
+    return np.asarray(ways / np.linalg.norm(ways, axis=1, keepdims=True))
+
+
+def test_rays_of_several_frames_meet_where_the_element_stands() -> None:
+    views, frame = along_a_road(4), np.array([0, 1, 2, 3, 3])
+    toward = towards(views, frame, [20.0, 6.0])
+    toward[4] = [0.9, -np.sqrt(1.0 - 0.81)]
+    rays = rays_of(views, frame, toward)
+    (point,) = RayMeetings(rays, views).found()
     np.testing.assert_allclose(point.at_m, [20.0, 6.0], atol=1e-9)
-    assert point.rays.tolist() == [0, 1, 2]
-    other_class = replace(rays, class_id=np.array([0, 0, 1, 0]))
-    assert intersect_rays(other_class) == []
+    assert point.rays.tolist() == [0, 1, 2, 3]
+    other_class = replace(rays, class_id=np.array([0, 0, 1, 0, 0]))
+    assert RayMeetings(other_class, views).found() == []
+
+
+@given(st.integers(0, 10_000), st.integers(1, 3))
+@settings(max_examples=20, deadline=None)
+def test_false_detections_are_no_landmarks_and_hide_none(seed: int, per_frame: int) -> None:
+    """However many there are: three of their rays meet in hundreds of places."""
+    rng, views = np.random.default_rng(seed), along_a_road(30)
+    frame = np.repeat(np.arange(30), per_frame)
+    angle = rng.uniform(-views.half_rad, views.half_rad, len(frame))
+    false = np.column_stack([np.cos(angle), np.sin(angle)])
+    assert RayMeetings(rays_of(views, frame, false), views).found() == []
+    seeing = np.arange(5, 14)
+    toward = np.concatenate([false, towards(views, seeing, [50.0, 6.0])])
+    (point,) = RayMeetings(rays_of(views, np.append(frame, seeing), toward), views).found()
+    np.testing.assert_allclose(point.at_m, [50.0, 6.0], atol=1.0)
+
+
+def test_two_elements_side_by_side_are_two_if_chance_may_miss_one() -> None:
+    """Of two real poles 0.5 m apart, each of three frames detects one, at half of its range."""
+    run = plant_in_run("healthy", 5001, simulated_road(5001), 100)
+    assert run is not None
+    frames = [(frame, blind(truth)) for blind in BLIND for frame, truth in run.frames[:6]]
+    for first_row in range(0, len(frames), 6):
+        found = diagnose_run(frames[first_row : first_row + 6], run.semantic_map, DETECTOR)
+        assert found.elements == ()
+
+
+def test_noise_beyond_the_gate_is_no_fault_of_an_element() -> None:
+    """A detection 4 sigma off fits no element at the gate of the search, and is none that moved."""
+    (case,) = islice(filter(None, (plant("healthy", 1014, simulated_road(1006)),)), 1)
+    assert diagnosed(case, ids_unknown(case.truth)).secondary_faults == ()

@@ -63,3 +63,29 @@ def test_without_a_plate_no_outline_is_clear() -> None:
         mark = np.array([80.0, 80.0])
         seen.append(OutlineView(image, edge_profile(image, mark, "square"), mark, scale, 2.0))
     assert joint_outlines(seen, "square", "centroid")[0].edges < 0.8
+
+
+def triangle_views(seed: int) -> list[OutlineView]:
+    """Views of an upright triangle, marked at its centroid by a careful hand."""
+    rng = np.random.default_rng(seed)
+    result = []
+    for scale in SCALES:
+        half, center = 14.0 * scale, rng.uniform(70, 90, 2)
+        picture = plate(rng, np.zeros(2), np.array([-50.0, -50.0]))
+        corners = center + half * np.array([(0.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+        fine = np.round(np.kron(picture, np.ones((4, 4, 1)))).astype(np.uint8)
+        points = np.round((corners + 0.5) * 64 - 8).astype(np.int32)
+        cv2.fillConvexPoly(fine, points, (50, 60, 70), cv2.LINE_AA, 4)
+        image = SampledImage(cv2.resize(fine, (160, 160), interpolation=cv2.INTER_AREA))
+        mark = corners.mean(axis=0)
+        profile = edge_profile(image, mark, "triangle")
+        result.append(OutlineView(image, profile, mark, scale, 0.6))
+    return result
+
+
+def test_a_triangle_marked_at_its_centroid_is_not_far_from_its_mark() -> None:
+    """The middle of its box is, so an outline there must not count as one of something else."""
+    for seed in range(3):
+        best = joint_outlines(triangle_views(seed), "triangle", "centroid")[0]
+        assert np.linalg.norm(best.move) < 0.35
+        assert best.edges > 1.0

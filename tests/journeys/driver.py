@@ -273,4 +273,6 @@ class LabelDriver:
             return canvas.dataset.frame === String(frame) && canvas.dataset.view;
         })"""
         self.page.wait_for_function(shown, arg=frame, timeout=WAIT_MS)
+        labels = "() => semviz.state.shownFrame || !semviz.state.connected"
+        self.page.wait_for_function(labels, timeout=WAIT_MS)
         self.settle()

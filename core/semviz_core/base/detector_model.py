@@ -48,6 +48,11 @@ class DetectorModel(NamedTuple):
     or hedge. The default costs nothing if there are none (``LABELS``: annotators flag them), and
     finds two thirds more poses if there are many (docs/results/benchmark.md)."""
 
+    def recall_at(self, away_m: FloatArray) -> FloatArray:
+        """Return the probabilities (k,) that mapped elements in view at distances are detected."""
+        at_m, recall = (self.near_m, self.far_m), (self.recall_near, self.recall_far)
+        return np.where(away_m <= self.reach_m, np.interp(away_m, at_m, recall), 0.0)
+
     def checked(self) -> "DetectorModel":
         """Return self. Raise SemvizError if a rate is impossible."""
         if not 0.0 < self.false_detections < 1e3:

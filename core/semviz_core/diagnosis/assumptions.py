@@ -182,6 +182,23 @@ def position_fault(case: FrameReference) -> Fault | None:
     return test.fault if test.is_fault else None
 
 
+def solved_without_heading(case: FrameReference) -> FrameReference:
+    """Return the frame solved again without its heading prior; as it is without one."""
+    prior = case.localization.prior
+    if prior is None or prior.heading_rad is None:
+        return case
+    again = solve_with_prior(case, replace(prior, heading_rad=None))
+    return replace(case, localization=again)
+
+
+def heading_fault(prior: Prior, again: Localization) -> Fault | None:
+    """Return the fault of a heading prior, if a pose found without it is too far from it."""
+    if prior.heading_rad is None or again.T_camera_map is None:
+        return None
+    test = _innovation(HEADING, prior, again)
+    return test.fault if test.is_fault else None
+
+
 def _given_parts(case: FrameReference) -> tuple[PriorPart, ...]:
     prior = case.localization.prior
     return () if prior is None else tuple(part for part in PRIOR_PARTS if part.is_given(prior))

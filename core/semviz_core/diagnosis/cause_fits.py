@@ -67,6 +67,8 @@ class CauseFit:
     def scale(self) -> float:
         """Size of the residuals in sigmas, 1 or more: stated sigmas may be too small."""
         residual = np.concatenate([rows.residual for rows in self.rows])
+        if not residual.size:
+            return 1.0
         return max(1.0, float(np.median(np.abs(residual))) / MEDIAN_OF_NORMAL)
 
     @property

@@ -53,12 +53,13 @@ def _row_faults(case: FrameReference) -> list[Fault]:
     mapped = {int(i): int(j) for i, j in case.pairs}
     wrong = np.setdiff1d(np.arange(m), sound[:, 0]).tolist()
     unmatched = _UnmatchedDetections.of(case) if (ids[wrong] == UNKNOWN_ID).any() else None
-    return [
+    found = [
         unmatched.fault(i)
         if unmatched is not None and ids[i] == UNKNOWN_ID
         else _known_row_fault(case, i, int(ids[i]), mapped.get(i))
         for i in wrong
     ]
+    return [fault for fault in found if fault is not None]
 
 
 def _known_row_fault(case: FrameReference, i: int, element: int, j: int | None) -> Fault:
@@ -130,13 +131,15 @@ class _UnmatchedDetections:
         free = np.setdiff1d(np.flatnonzero(case.in_view), case.pairs[:, 1])
         return cls(case, free, _fits_but_class(case, free))
 
-    def fault(self, i: int) -> Fault:
-        """Return the likeliest fault of an observed row."""
+    def fault(self, i: int) -> Fault | None:
+        """Return the likeliest fault of an observed row; None if noise may explain it."""
         case = self.case
+        candidates = [int(j) for j in self.free if case.problem.compatible[i, j]]
+        if candidates and _fits(case, np.array([(i, j) for j in candidates])).any():
+            return None
         misclassified = [j for j in self.free if self.fits_but_class[i, j]]
         if misclassified:
             return _wrong_class_fault(case, i, int(misclassified[0]))
-        candidates = [int(j) for j in self.free if case.problem.compatible[i, j]]
         off_m = [distance_m(case, i, j) for j in candidates]
         if off_m and min(off_m) < MOVED_M:
             return _moved_fault(case, i, candidates[int(np.argmin(off_m))])
@@ -164,12 +167,11 @@ def _of_one_class(elements: Elements) -> Elements:
 
 
 def _duplicate_faults(case: FrameReference) -> list[Fault]:
-    """Return one fault for each unmatched element at the position of a matched one."""
-    observed = case.pairs[:, 1]
+    """Return one fault for each unmatched element in view at the position of a matched one."""
     faults = []
     for i, j in case.pairs:
         for copy in np.flatnonzero(_at_same_position(case.nearby, int(j))):
-            if copy not in observed:
+            if case.missed[copy]:
                 faults.append(_duplicate_fault(case, int(i), int(j), int(copy)))
     return faults
 

@@ -25,8 +25,10 @@ MOST_STEPS = 10
 TRUE_POSE_SIGMA: FloatArray = np.repeat([0.02, float(np.deg2rad(0.02))], 3)
 """Accuracy of true poses over a stretch: metres, then radians."""
 LEAST_NATS, LEAST_NATS_WITHOUT_BEST = 12.0, 6.0
-"""Log-likelihood that a drift must add, in all and without the stretch that it helps most: one
-wrong pose is no drift."""
+"""Log-likelihood that a drift must add, in all and without any one of the poses: one wrong pose is
+no drift."""
+LOOSE = 1e4
+"""Variance of a pose that is left out (m2, rad2)."""
 LEAST_SIGMAS = 1.0
 """Smallest drift that is a fault, in stated sigmas of one step."""
 LEAST_NOISE = 3.0
@@ -53,6 +55,10 @@ class _Stretch:
     """(6, 6) of ``innovation`` if the odometry is right."""
     drifts: FloatArray
     """(6, 2) change of ``innovation`` with the length and with the yaw of all steps."""
+    by_start: FloatArray
+    """(6, 6) change of ``innovation`` with the pose at its start; -1 with that at its end."""
+    start_covariance: FloatArray
+    """(6, 6) of the pose at its start."""
     step_sigmas: FloatArray
     """(2,) stated sigmas of one step: share of its length, and radians."""
 
@@ -91,17 +97,21 @@ def odometry_fault(
 
 def _drift(stretches: Sequence[_Stretch]) -> tuple[str, EvidenceItem] | None:
     """Return the drift that all stretches have in common, as a sentence and as a number."""
+    covariance = _joint_covariance(stretches)
+    innovation = np.concatenate([stretch.innovation for stretch in stretches])
     best: tuple[float, str, EvidenceItem] | None = None
     for k, (name, unit, factor) in enumerate(DRIFTS):
-        rows = [_whitened(stretch, k) for stretch in stretches]
-        A, b = np.array([a for a, _ in rows]), np.array([b for _, b in rows])
-        value = float((A * b).sum() / max(float((A**2).sum()), 1e-12))
-        gains = 0.5 * (b**2 - (b - A * value) ** 2).sum(axis=1)
-        nats = float(gains.sum())
+        by_drift = np.concatenate([stretch.drifts[:, k] for stretch in stretches])
+        value, nats = _fitted(by_drift, innovation, covariance)
         step_sigma = float(np.median([stretch.step_sigmas[k] for stretch in stretches]))
         if nats < LEAST_NATS or abs(value) < LEAST_SIGMAS * step_sigma:
             continue
-        if nats - gains.max() < LEAST_NATS_WITHOUT_BEST:
+        loose = (
+            covariance + LOOSE * _by_pose(stretches, pose) for pose in range(len(stretches) + 1)
+        )
+        if any(
+            _fitted(by_drift, innovation, other)[1] < LEAST_NATS_WITHOUT_BEST for other in loose
+        ):
             continue
         if best is None or nats > best[0]:
             item = EvidenceItem(name, value * factor, unit)
@@ -109,18 +119,45 @@ def _drift(stretches: Sequence[_Stretch]) -> tuple[str, EvidenceItem] | None:
     return None if best is None else best[1:]
 
 
+def _fitted(
+    by_drift: FloatArray, innovation: FloatArray, covariance: FloatArray
+) -> tuple[float, float]:
+    """Return the drift (least squares), and what it adds to the log-likelihood."""
+    weighted = np.linalg.solve(covariance, by_drift)
+    information = max(float(weighted @ by_drift), 1e-12)
+    score = float(weighted @ innovation)
+    return score / information, 0.5 * score**2 / information
+
+
+def _by_pose(stretches: Sequence[_Stretch], pose: int) -> FloatArray:
+    """Return the joint covariance that errors of a pose have, with unit variances: of the one at
+    the start of stretch number ``pose``, or at the end of the one before."""
+    change = np.zeros((len(stretches), 6, 6))
+    if pose < len(stretches):
+        change[pose] = stretches[pose].by_start
+    if pose and (pose == len(stretches) or stretches[pose - 1].last == stretches[pose].first):
+        change[pose - 1] = -np.eye(6)
+    flat = change.reshape(-1, 6)
+    return np.asarray(flat @ flat.T)
+
+
+def _joint_covariance(stretches: Sequence[_Stretch]) -> FloatArray:
+    """Return (6 k, 6 k) of all innovations: that of a pose is in the stretches on both sides, and
+    what it adds to one it takes from the other."""
+    joint = np.zeros((len(stretches), 6, len(stretches), 6))
+    for row, stretch in enumerate(stretches):
+        joint[row, :, row] = stretch.covariance
+        if row and stretches[row - 1].last == stretch.first:
+            shared = stretch.by_start @ stretch.start_covariance
+            joint[row, :, row - 1] = -shared
+            joint[row - 1, :, row] = -shared.T
+    return joint.reshape(6 * len(stretches), 6 * len(stretches))
+
+
 def _drift_sentence(k: int, size: float) -> str:
     if k == 0:
         return f"it is {abs(size):.1f} % too {'long' if size > 0.0 else 'short'}"
     return f"it turns {abs(size):.2f} deg per step too far {'right' if size > 0.0 else 'left'}"
-
-
-def _whitened(stretch: _Stretch, k: int) -> tuple[FloatArray, FloatArray]:
-    factor = np.linalg.cholesky(stretch.covariance)
-    return (
-        np.linalg.solve(factor, stretch.drifts[:, k]),
-        np.linalg.solve(factor, stretch.innovation),
-    )
 
 
 def _stretches(
@@ -178,7 +215,8 @@ def _stretch(
         drifts[:, 1] += A[:, 4]  # about the camera's y, which points down
         T_end_now = T_end_now @ step.T_now_before
     innovation = (measured.T_now_before @ true.inverse()).log()
-    return _Stretch(start[0], end[0], innovation, covariance, drifts, _step_sigmas(motion))
+    sigmas = _step_sigmas(motion)
+    return _Stretch(start[0], end[0], innovation, covariance, drifts, by_start, start[2], sigmas)
 
 
 def _step_sigmas(motion: Sequence[Odometry]) -> FloatArray:

@@ -1,7 +1,7 @@
 """Diagnose a run: find faults of map and camera that recur over frames.
 
 Frames without ground truth count if their status is ok. An unmapped landmark is found where rays
-of unmatched detections of one class, from several frames, intersect in the ground plane.
+of unmatched detections of one class meet, from more frames than false detections explain.
 """
 
 from collections import defaultdict
@@ -14,7 +14,6 @@ from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.frame import Odometry
 from semviz_core.base.localization import Localization
 from semviz_core.base.semantic_map import SemanticMap
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.diagnosis import run_causes
 from semviz_core.diagnosis.carried_poses import with_carried_poses
 from semviz_core.diagnosis.cause_fits import common_cause
@@ -29,100 +28,10 @@ from semviz_core.diagnosis.prior_offsets import (
     solved_without_fixes,
     without_offset,
 )
+from semviz_core.diagnosis.ray_meetings import RayMeeting, RayMeetings, UnmatchedRays, Views
 from semviz_core.diagnosis.reference import FrameReference, ProgressCallback, no_progress
 
 NEEDED_FRAMES = 3
-"""Rays of this many frames must meet, since two always do."""
-MEET_RAD = float(np.deg2rad(0.7))
-"""Largest angle, seen from the camera, between a ray and a point it passes through."""
-LEAST_PARALLAX_RAD = float(np.deg2rad(3.0))
-NEAREST_M, FURTHEST_M = 2.0, 60.0
-"""Range of the distance from a camera to a landmark."""
-
-
-@dataclass(frozen=True, eq=False)
-class UnmatchedRays:
-    """k unmatched detections as rays in the ground plane."""
-
-    frame: IntArray
-    """(k,) position in the run."""
-    row: IntArray
-    """(k,) observed row in that frame."""
-    class_id: IntArray
-    center_m: FloatArray
-    """(k, 2) of the camera."""
-    toward: FloatArray
-    """(k, 2) unit."""
-
-
-@dataclass(frozen=True, eq=False)
-class RayIntersection:
-    """A point where rays meet."""
-
-    at_m: FloatArray
-    """(2,)"""
-    rays: IntArray
-    """Rows of ``UnmatchedRays`` that pass through it, from three or more frames."""
-
-
-def intersect_rays(rays: UnmatchedRays) -> list[RayIntersection]:
-    """Return the points where rays of one class and of several frames meet, best first.
-
-    Each ray belongs to at most one point.
-    """
-    free = np.ones(len(rays.row), dtype=bool)
-    intersections = []
-    while (best := _best(rays, free)) is not None:
-        free[best.rays] = False
-        intersections.append(best)
-    return intersections
-
-
-def _best(rays: UnmatchedRays, free: BoolArray) -> RayIntersection | None:
-    points = [_best_on_ray(rays, int(index), free) for index in np.flatnonzero(free)]
-    met = [point for point in points if point is not None]
-    return max(met, key=lambda point: len(point.rays), default=None)
-
-
-def _best_on_ray(rays: UnmatchedRays, index: int, free: BoolArray) -> RayIntersection | None:
-    """Return the point on one ray that the rays of most frames pass."""
-    away_m = np.linalg.norm(rays.center_m - rays.center_m[index], axis=1)
-    same_class = free & (rays.class_id == rays.class_id[index]) & (away_m < FURTHEST_M)
-    rows = np.flatnonzero(same_class)
-    at_m = _crossings(rays, index, rows[rays.frame[rows] != rays.frame[index]])
-    if not len(at_m):
-        return None
-    passes = _passes(rays, rows, at_m)
-    frames = [len(np.unique(rays.frame[rows[chosen]])) for chosen in passes]
-    best = int(np.argmax(frames))
-    if frames[best] < NEEDED_FRAMES:
-        return None
-    return RayIntersection(at_m[best], rows[passes[best]])
-
-
-def _crossings(rays: UnmatchedRays, index: int, rows: IntArray) -> FloatArray:
-    """Return (c, 2) where ray ``index`` crosses other rays, ahead of both cameras."""
-    a, b = rays.toward[index], rays.toward[rows]
-    cross = a[0] * b[:, 1] - a[1] * b[:, 0]
-    wide = np.abs(cross) > np.sin(LEAST_PARALLAX_RAD)
-    offset = rays.center_m[rows[wide]] - rays.center_m[index]
-    b, cross = b[wide], cross[wide]
-    along_a = (offset[:, 0] * b[:, 1] - offset[:, 1] * b[:, 0]) / cross
-    along_b = (offset[:, 0] * a[1] - offset[:, 1] * a[0]) / cross
-    ahead = (np.minimum(along_a, along_b) > NEAREST_M) & (along_a < FURTHEST_M)
-    return np.asarray(rays.center_m[index] + along_a[ahead, None] * a)
-
-
-def _passes(rays: UnmatchedRays, rows: IntArray, at_m: FloatArray) -> BoolArray:
-    """Return (c, len(rows)) whether rays pass through points (c, 2)."""
-    offset = at_m[:, None] - rays.center_m[rows]
-    toward = rays.toward[rows]
-    aside = offset[..., 0] * toward[:, 1] - offset[..., 1] * toward[:, 0]
-    ahead = (offset * toward).sum(axis=-1)
-    near = np.abs(aside) < np.tan(MEET_RAD) * ahead
-    return np.asarray(near & (ahead > NEAREST_M) & (ahead < FURTHEST_M))
-
-
 MAP_KINDS: tuple[FaultKind, ...] = ("moved in the map", "missing in the map", "twice in the map")
 UNMATCHED_KINDS: tuple[FaultKind, ...] = ("moved in the map", "false or not mapped")
 """Faults of unmatched detections in single frames without known ids."""
@@ -136,6 +45,10 @@ STRAY_SHARE = 0.2
 """Share of the frames with an element in view below which other things are detected there."""
 LEAST_SHARE = 0.5
 """Share of the frames that detect an element in which a fault must recur."""
+
+ONE_NATS = 3.0
+"""Against the chance that one of two real elements is missed in all frames that detect the other:
+then they are one, mapped twice. Chance exceeds it once in twenty such pairs."""
 
 
 @dataclass(frozen=True)
@@ -200,6 +113,9 @@ def diagnose_run(
     if calibration is not None:  # it explains large residuals, and a camera that is rolled
         causes = [cause for cause in causes if cause.kind not in OF_CALIBRATION]
     blind = all(case.truth is None for case in cases)
+    if odometry is not None and blind and not causes and calibration is None:
+        compass = run_causes.tracked_heading_fault(cases, odometry, watch)
+        causes += [] if compass is None else [compass]
     if odometry is not None and blind and not causes and calibration is None:
         cases = with_carried_poses(cases, odometry, watch)
         positions = _with_pose(cases)
@@ -273,7 +189,7 @@ def _recurring_faults(
         for (kind, elements), reported in reports.items()
         if len(reported)
         >= max(NEEDED_FRAMES, LEAST_SHARE * max(detected.get(element, 0) for element in elements))
-        and not (len(elements) > 1 and _detected_together(cases, elements))
+        and (len(elements) == 1 or _are_one(cases, elements, reported))
     ]
 
 
@@ -296,9 +212,23 @@ def _recurring_fault(
     )
 
 
-def _detected_together(cases: Sequence[FrameReference], elements: tuple[int, ...]) -> bool:
-    """Whether one frame detects all of them: then they are different landmarks."""
-    return any(set(elements) <= set(case.nearby.id[case.pairs[:, 1]].tolist()) for case in cases)
+def _are_one(
+    cases: Sequence[FrameReference],
+    elements: tuple[int, ...],
+    reported: Sequence[tuple[int, Fault]],
+) -> bool:
+    """Whether two elements are one landmark: no frame detects both, and chance hardly ever misses
+    one of two in all frames with both in view."""
+    for case in cases:
+        if set(elements) <= set(case.nearby.id[case.pairs[:, 1]].tolist()):
+            return False
+    nats = 0.0
+    for case, copy in ((cases[row], fault.elements[1]) for row, fault in reported):
+        assert case.reference is not None
+        place_m = case.nearby.anchor_m[case.nearby.id == copy]
+        away_m = np.linalg.norm(case.reference.apply(place_m), axis=1)
+        nats -= float(np.log1p(-case.detector.recall_at(away_m)).sum())
+    return nats > ONE_NATS
 
 
 def _detection_counts(cases: Sequence[FrameReference]) -> dict[int, int]:
@@ -315,36 +245,31 @@ def _unmatched_landmarks(
 ) -> list[RunFault]:
     """Return landmarks that several frames detect where no element is mapped."""
     rays, detected = _unmatched_rays(cases, faults), _detection_counts(cases)
-    return [_unmatched_landmark(cases, detected, rays, point) for point in intersect_rays(rays)]
+    if not len(rays.row):
+        return []
+    meetings = RayMeetings(rays, Views.of(cases)).found()
+    return [_unmatched_landmark(cases, detected, rays, point) for point in meetings]
 
 
 def _unmatched_rays(
     cases: Sequence[FrameReference], faults: Sequence[tuple[Fault, ...]]
 ) -> UnmatchedRays:
-    rows = [
-        (frame, fault.rows[0])
-        for frame, (case, frame_faults) in enumerate(zip(cases, faults, strict=True))
-        for fault in frame_faults
-        if case.ids is None and fault.kind in UNMATCHED_KINDS
-    ]
-    frame, row = np.array(rows, dtype=np.int64).reshape(-1, 2).T
-    rays, centers = np.empty((len(rows), 2)), np.empty((len(rows), 2))
-    class_id = np.empty(len(rows), dtype=np.int64)
-    for k, (position, i) in enumerate(rows):
-        case = cases[position]
-        assert case.reference is not None
-        back = case.reference.inverse()
-        ray = (back.rotation @ case.problem.seen[i]["anchor_ray"])[:2]
-        rays[k], centers[k] = ray / np.linalg.norm(ray), back.translation[:2]
-        class_id[k] = case.localization.observed.class_id[i]
-    return UnmatchedRays(frame, row, class_id, centers, rays)
+    return UnmatchedRays.of(
+        cases,
+        [
+            (frame, fault.rows[0])
+            for frame, (case, frame_faults) in enumerate(zip(cases, faults, strict=True))
+            for fault in frame_faults
+            if case.ids is None and fault.kind in UNMATCHED_KINDS
+        ],
+    )
 
 
 def _unmatched_landmark(
     cases: Sequence[FrameReference],
     detected: dict[int, int],
     rays: UnmatchedRays,
-    point: RayIntersection,
+    point: RayMeeting,
 ) -> RunFault:
     """Return the fault of a landmark where rays meet.
 

@@ -10,14 +10,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from semviz_core.base.frame import Odometry
 from semviz_core.common.arrays import FloatArray
 from semviz_core.diagnosis.assumptions import (
     FACTORS,
     check_assumptions,
+    heading_fault,
     prior_faults,
     solve_with_prior,
     solve_with_sigma,
+    solved_without_heading,
 )
+from semviz_core.diagnosis.carried_poses import with_carried_poses
 from semviz_core.diagnosis.cause_fits import CauseFit, RatedCause
 from semviz_core.diagnosis.common_causes import CALIBRATIONS
 from semviz_core.diagnosis.fault import EvidenceItem, Fault, FaultKind, RunFault
@@ -55,6 +59,28 @@ def assumption_run_faults(
     ]
     sigma = _sigma_run_fault(cases)
     return sorted([*faults, *sigma], key=lambda fault: -len(fault.frames))
+
+
+def tracked_heading_fault(
+    cases: Sequence[FrameReference], odometry: Sequence[Odometry | None], watch: ProgressCallback
+) -> RunFault | None:
+    """Return the fault of a compass that a track without it shows, where single frames have too
+    few detections. No frame has a true pose."""
+    priors = [case.localization.prior for case in cases]
+    if all(prior is None or prior.heading_rad is None for prior in priors):
+        return None
+    watched = watch(cases, "solving without headings", len(cases))
+    free = [solved_without_heading(case) for case in watched]
+    tracked = with_carried_poses(free, odometry, watch)
+    reported = [
+        (row, fault)
+        for row, (prior, case) in enumerate(zip(priors, tracked, strict=True))
+        if prior is not None and case.localization.status == "ok"
+        if (fault := heading_fault(prior, case.localization)) is not None
+    ]
+    if len(reported) < max(NEEDED_FRAMES, LEAST_FRAMES_SHARE * len(cases)):
+        return None
+    return _assumption_fault("wrong heading prior", reported, len(cases))
 
 
 def _assumptions(case: FrameReference) -> tuple[Fault, ...]:

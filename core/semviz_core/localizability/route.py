@@ -178,7 +178,7 @@ def visible_elements(
     top, top_cut = _clip_vertically(camera, anchor, end)
     bottom, bottom_cut = _clip_vertically(camera, end, anchor)
     top = np.where(line[:, None], top, anchor)
-    recall = recall_at(conditions.detector, anchor_c[:, 2])
+    recall = conditions.detector.recall_at(anchor_c[:, 2])
     visible = camera.contains(top) & (anchor_c[:, 2] > NEAREST_M) & (recall > 0.0)
     visible &= ~line | (camera.contains(bottom) & (_length(top - bottom) > LEAST_LENGTH_PX))
     row = np.flatnonzero(visible)
@@ -194,14 +194,6 @@ def visible_elements(
     return VisibleElements(
         row, replace(seen, sigma_px=detection_sigma_px(seen, conditions.noise)), recall[row]
     )
-
-
-def recall_at(detector: DetectorModel, depth_m: FloatArray) -> FloatArray:
-    """Return (n,) the probability that an element in view is detected at each depth."""
-    span = detector.far_m - detector.near_m
-    share = np.clip((depth_m - detector.near_m) / span, 0.0, 1.0)
-    recall = detector.recall_near + share * (detector.recall_far - detector.recall_near)
-    return np.where(depth_m <= detector.reach_m, recall, 0.0)
 
 
 def detection_sigma_px(seen: Elements2D, noise: Noise) -> FloatArray:

@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from semviz_core.base.camera import Camera
@@ -182,22 +183,40 @@ def visible_rows(submap: Elements3D, T_camera_map: Pose, camera: Camera) -> IntA
     return np.flatnonzero(inside & in_range)
 
 
-class _Figures(NamedTuple):
-    """What is summarized of a frame."""
+class FrameFigures(NamedTuple):
+    """What is summarized of n frames."""
 
-    status: Status
-    errors: tuple[float, float]
-    """Metres and degrees; NaN if unknown."""
-    is_known: bool
-    """Whether it has a true pose."""
-    time_ms: float | None
+    status: NDArray[np.str_]
+    """(n,)"""
+    errors: FloatArray
+    """(n, 2) metres and degrees; NaN without a pose or a true one."""
+    has_truth: BoolArray
+    """(n,) whether the true pose is known."""
+    time_ms: FloatArray
+    """(n,) NaN if it was not measured."""
+
+    def summary(self) -> Summary:
+        """Return errors, shares and times over all frames, and by status."""
+
+        def accuracy(rows: BoolArray) -> PoseAccuracy:
+            rte_m, rre_deg = self.errors[rows & np.isfinite(self.errors[:, 0])].T
+            with_truth = int((rows & self.has_truth).sum())
+            return PoseAccuracy.of(rte_m, rre_deg, with_truth, int(rows.sum()))
+
+        times = self.time_ms[np.isfinite(self.time_ms)]
+        return Summary(
+            accuracy=accuracy(np.ones(len(self.status), dtype=bool)),
+            by_status={name: accuracy(self.status == name) for name in STATUSES},
+            time_ms_median=float(np.median(times)) if len(times) else None,
+            time_ms_p95=float(np.percentile(times, 95)) if len(times) else None,
+        )
 
 
-def _figures(result: Localization, true: Pose | None) -> _Figures:
+def _figures(result: Localization, true: Pose | None) -> tuple[str, float, float, bool, float]:
     estimate = result.T_camera_map
     errors = (np.nan, np.nan) if estimate is None or true is None else pose_error(estimate, true)
-    time_ms = sum(result.time_ms.values()) if result.time_ms else None
-    return _Figures(result.status, errors, true is not None, time_ms)
+    time_ms = sum(result.time_ms.values()) if result.time_ms else np.nan
+    return result.status, *errors, true is not None, time_ms
 
 
 def summarize(localizations: Iterable[Localization], truths: Iterable[Pose | None]) -> Summary:
@@ -209,21 +228,12 @@ def summarize(localizations: Iterable[Localization], truths: Iterable[Pose | Non
         frames = [_figures(*pair) for pair in zip(localizations, truths, strict=True)]
     except ValueError:
         raise SemvizError("not as many true poses as localizations; give one for each") from None
-    status = np.array([frame.status for frame in frames], dtype="U9")
-    errors = np.array([frame.errors for frame in frames]).reshape(-1, 2)
-    known = np.array([frame.is_known for frame in frames], dtype=bool)
-    times = np.array([frame.time_ms for frame in frames if frame.time_ms is not None])
-
-    def accuracy(rows: BoolArray) -> PoseAccuracy:
-        rte_m, rre_deg = errors[rows & np.isfinite(errors[:, 0])].T
-        return PoseAccuracy.of(rte_m, rre_deg, int((rows & known).sum()), int(rows.sum()))
-
-    return Summary(
-        accuracy=accuracy(np.ones(len(status), dtype=bool)),
-        by_status={name: accuracy(status == name) for name in STATUSES},
-        time_ms_median=float(np.median(times)) if len(times) else None,
-        time_ms_p95=float(np.percentile(times, 95)) if len(times) else None,
-    )
+    return FrameFigures(
+        np.array([frame[0] for frame in frames], dtype=np.str_),
+        np.array([frame[1:3] for frame in frames]).reshape(-1, 2),
+        np.array([frame[3] for frame in frames], dtype=bool),
+        np.array([frame[4] for frame in frames], dtype=np.float64),
+    ).summary()
 
 
 _HEADER = (

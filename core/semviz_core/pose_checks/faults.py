@@ -87,6 +87,17 @@ class PoseCheck:
         return self.measured >= MIN_MEASURED and bool(self.comparison.compared.any())
 
     @property
+    def unchecked(self) -> tuple[tuple[int, int], ...]:
+        """First and last frame of each stretch whose poses the images say too little about."""
+        known = np.array([frame.T_map_camera is not None for frame in self.frames])
+        is_open = known[:-1] & known[1:] & ~self.comparison.compared
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], is_open, [False]])))
+        numbers = [frame.index for frame in self.frames]
+        return tuple(
+            (numbers[first], numbers[last]) for first, last in edges.reshape(-1, 2).tolist()
+        )
+
+    @property
     def wrong_frames(self) -> tuple[int, ...]:
         """Frames of faults that do not hold for the whole drive."""
         local = [fault for fault in self.faults if fault.kind in LOCAL_KINDS]
@@ -104,6 +115,7 @@ class PoseCheck:
             "checked": self.is_checked,
             "frames": len(self.frames),
             "pairs_measured": int(self.comparison.compared.sum()),
+            "unchecked": [list(stretch) for stretch in self.unchecked],
             "faults": [asdict(fault) for fault in self.faults],
             "good_poses": {
                 "sigma_m": [round(float(value), 5) for value in sigma[:3]],

@@ -1,15 +1,16 @@
 """Refine poses by the motions measured in the images.
 
 Pairs of frames whose given motion is far from the measured one cut the drive into segments. Poses
-of the longest segment stay; so do those of others that the measured motions reach again. The rest
-is chained from the images. Then all poses are adjusted by sparse least squares on SE(3): measured
-motions, and robust priors on the given poses.
+of the longest segment stay; so do those of others of two frames or more that the measured motions
+reach again. The rest is chained from the images. Then all poses are adjusted by sparse least
+squares on SE(3): measured motions, and robust priors on the given poses.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import splu
 
@@ -24,13 +25,16 @@ from semviz_core.pose_checks.comparison import (
     rows_of_runs,
 )
 from semviz_core.pose_checks.image_motions import ImageMotions
+from semviz_core.pose_checks.variance_components import variance_components
 
 CUT_CHI2 = 30.0
 CUT_M, CUT_RAD = 0.03, float(np.deg2rad(0.03))
 """A pair cuts the drive if its chi2 and one of its innovations are larger."""
+CUT_PAIRS = (1, 5)
+"""So do so many in a row by their sum: in it, errors of poses between cancel, but a drift grows."""
 LONG_FRAMES = 25
 """A segment that is not reached again but is as long as this moves as a whole."""
-REACHED_SIGMAS = 4.0
+REACHED_SIGMAS, SPREAD_SIGMAS = 4.0, 3.0
 PRIOR_LEAST = np.repeat([0.01, np.deg2rad(0.02)], 3)
 PRIOR_MOST = np.repeat([0.08, np.deg2rad(0.1)], 3)
 """Limits of the sigma of a good given pose: m, then rad."""
@@ -56,6 +60,8 @@ class PoseRefinement:
     """(n,) of the refined rotation, the largest axis."""
     held: BoolArray
     """(n,) whether the given pose counts; else images alone place the frame."""
+    good_sigma: FloatArray
+    """(6,) of good given poses: m, then rad."""
 
 
 def refine(poses: DrivePoses, motions: ImageMotions, comparison: PoseComparison) -> PoseRefinement:
@@ -68,14 +74,17 @@ def refine(poses: DrivePoses, motions: ImageMotions, comparison: PoseComparison)
     prior = np.sqrt(PRIOR_LEAST * PRIOR_MOST)
     adjusted, weight = start, held.astype(np.float64)
     for round_ in range(_ROUNDS):
-        adjusted = _adjusted(adjusted, start, measured, comparison, prior, weight)
+        counts = weight > 0.25
+        good = comparison.compared & counts[:-1] & counts[1:]
+        share = variance_components(comparison, good).motion_share
+        told = replace(comparison, information=comparison.information / share)
+        adjusted = _adjusted(adjusted, start, measured, told, prior, weight)
         off = _deviations(start, adjusted)
         prior = _prior_sigma(off[held & start.known])
         chi2 = ((off / prior) ** 2).sum(axis=1)
         softness = _GEMAN * 4.0 ** max(3 - round_, 0)  # first all frames, then those that agree
         weight = held / (1.0 + chi2 / (6.0 * softness)) ** 2
-    sigma = _sigmas(adjusted, measured, comparison, prior, weight)
-    counts = weight > 0.25
+    sigma = _sigmas(adjusted, measured, told, prior, weight)
     off = _deviations(poses, adjusted)
     return PoseRefinement(
         adjusted,
@@ -84,6 +93,7 @@ def refine(poses: DrivePoses, motions: ImageMotions, comparison: PoseComparison)
         sigma[:, 0],
         sigma[:, 1],
         counts,
+        prior,
     )
 
 
@@ -107,10 +117,7 @@ def _joined(
     poses: DrivePoses, measured: Sequence[Pose | None], comparison: PoseComparison
 ) -> tuple[DrivePoses, BoolArray]:
     """Return poses without cuts, and (n,) which frames keep their given poses."""
-    large = np.linalg.norm(comparison.innovation[:, :3], axis=1) > CUT_M
-    large |= np.linalg.norm(comparison.innovation[:, 3:], axis=1) > CUT_RAD
-    cut = (comparison.chi2 > CUT_CHI2) & large
-    segments = _segments(cut)
+    segments = _segments(_cuts(comparison))
     longest = max(range(len(segments)), key=lambda row: segments[row][1] - segments[row][0])
     held = poses.known.copy()
     joined = _Chain(poses, measured, held, comparison.pose_sigma)
@@ -119,6 +126,27 @@ def _joined(
     for segment in segments[:longest][::-1]:
         joined.continue_to(segment, -1)
     return joined.result()
+
+
+def _cuts(comparison: PoseComparison) -> BoolArray:
+    """Return (n,) the pairs that cut the drive, alone or with their neighbours."""
+    cut = np.zeros(len(comparison.compared), dtype=bool)
+    covariance = np.linalg.pinv(comparison.information, rcond=1e-10, hermitian=True)
+    for pairs in CUT_PAIRS:
+        if len(cut) < pairs:
+            continue
+        windows = [
+            sliding_window_view(values, pairs, axis=0)
+            for values in (comparison.innovation, covariance, comparison.compared & ~cut)
+        ]
+        off, S = windows[0].sum(axis=-1), windows[1].sum(axis=-1)
+        S = S + np.diag(comparison.pose_sigma**2)
+        chi2 = np.einsum("ni,ni->n", off, np.linalg.solve(S, off[:, :, None])[:, :, 0])
+        large = np.linalg.norm(off[:, :3], axis=1) > CUT_M
+        large |= np.linalg.norm(off[:, 3:], axis=1) > CUT_RAD
+        found = np.flatnonzero((chi2 > CUT_CHI2) & large & windows[2].all(axis=-1))
+        cut[(found[:, None] + np.arange(pairs)).ravel()] = True
+    return cut
 
 
 def _segments(cut: BoolArray) -> list[tuple[int, int]]:
@@ -147,7 +175,10 @@ class _Chain:
         self._length_m = 0.0
 
     def continue_to(self, segment: tuple[int, int], direction: int) -> None:
-        """Keep, move or replace the poses of the next segment, forwards (1) or backwards (-1)."""
+        """Keep, move or replace the poses of the next segment, forwards (1) or backwards (-1).
+
+        A single frame is replaced: in a drift it agrees with the one before, and so on.
+        """
         first, last = segment
         rows = list(range(first, last + 1))[::direction]
         entry, before = rows[0], rows[0] - direction
@@ -156,7 +187,7 @@ class _Chain:
         if reached is None or not self._given.known[entry]:
             return
         self._length_m += float(np.linalg.norm(reached.translation - self._c[before]))
-        if self._agrees(reached, entry):
+        if len(rows) > 1 and self._agrees(reached, entry):
             self._chained, self._length_m = 0, 0.0
             return
         if len(rows) >= LONG_FRAMES:
@@ -327,19 +358,18 @@ class PoseInformation:
     ) -> "PoseInformation":
         """Return that of poses of which those in ``refined`` (n,) follow from images alone.
 
-        Errors of the others are independent, as large as a comparison with the images shows. So are
-        those of measured motions, if they are smaller than stated.
+        Errors of the others are independent. These and the errors of measured motions are as large
+        as the pairs of the others show.
         """
         n = len(at)
-        given_sigma = comparison.pose_sigma / np.sqrt(2.0)  # a pair has the errors of two poses
+        concerned = refined[:-1] | refined[1:]
+        known = variance_components(comparison, comparison.compared & ~concerned)
         diagonal = np.tile(1e-6 * np.eye(6), (n, 1, 1))
-        diagonal[~refined] += np.diag(given_sigma**-2.0)
+        diagonal[~refined] += np.diag(known.pose_sigma**-2.0)
         upper = np.zeros((max(n - 1, 0), 6, 6))
         R, t = at.motions()
-        concerned = refined[:-1] | refined[1:]
-        share = _variance_share(comparison, comparison.compared & ~concerned)
         for row in np.flatnonzero(comparison.compared & concerned).tolist():
-            A, J = comparison.information[row] / share, adjoint(Pose(R[row], t[row]))
+            A, J = comparison.information[row] / known.motion_share, adjoint(Pose(R[row], t[row]))
             diagonal[row] += J.T @ A @ J
             diagonal[row + 1] += A
             upper[row] -= J.T @ A
@@ -357,33 +387,19 @@ class PoseInformation:
         return np.asarray(factors.solve(columns)[chosen])
 
 
-_LEAST_PAIRS, _LEAST_SHARE = 8, 0.05
-"""Fewer pairs tell nothing about the variance of measured motions; nor is it any smaller."""
-
-
-def _variance_share(comparison: PoseComparison, good: BoolArray) -> float:
-    """Return which share of their stated variance the measured motions have, at most 1.
-
-    Where poses are good, a motion's error is no larger than its innovation. The floors of measured
-    motions are those of real images; rendered ones, or a better camera, stay far below.
-    """
-    if good.sum() < _LEAST_PAIRS:
-        return 1.0
-    off, A = comparison.innovation[good], comparison.information[good]
-    chi2 = np.einsum("ni,nij,nj->n", off, A, off)
-    freedom = float(np.linalg.matrix_rank(A[0], rtol=1e-10, hermitian=True))  # 5 with one camera
-    median = freedom * (1.0 - 2.0 / (9.0 * freedom)) ** 3
-    return float(np.clip(np.median(chi2) / median, _LEAST_SHARE, 1.0))
-
-
 def stretches(
     refinement: PoseRefinement, least_m: float, least_rad: float
 ) -> list[tuple[int, int]]:
     """Return first and last row of each stretch of frames that refining moves by more.
 
-    Its neighbours that clearly move too, by a quarter of that, belong to it.
+    It moves further than good poses of this drive err. Its neighbours that clearly move too, by a
+    quarter of the least moves, belong to it.
     """
-    strong, weak = (_moved(refinement, part * least_m, part * least_rad) for part in (1.0, 0.25))
+    usual_m, usual_rad = (
+        SPREAD_SIGMAS * float(np.linalg.norm(part)) for part in np.split(refinement.good_sigma, 2)
+    )
+    strong = _moved(refinement, max(least_m, usual_m), max(least_rad, usual_rad))
+    weak = _moved(refinement, 0.25 * least_m, 0.25 * least_rad)
     runs = rows_of_runs(weak | strong)
     return [(first, last) for first, last in runs if strong[first : last + 1].any()]
 

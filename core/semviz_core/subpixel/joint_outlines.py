@@ -23,6 +23,7 @@ from semviz_core.subpixel.sign_outline import (
     edge_directions,
     fit_from,
     fit_scores,
+    middle_below_box,
     turns_of,
 )
 
@@ -87,8 +88,8 @@ def joint_outlines(
     views: Sequence[OutlineView], shape: str, triangle_center: TriangleCenter, count: int = 3
 ) -> list[JointOutline]:
     """Return up to ``count`` outlines, the one with the best edges first."""
-    scores = _summed(views)
     kinds = _kinds(shape)
+    scores = _summed(views, _away(kinds, triangle_center))
     result: list[JointOutline] = []
     chosen: list[tuple[int, int, FloatArray]] = []
     order = np.argsort(-scores.reshape(-1), kind="stable")[:_EXAMINED]
@@ -115,16 +116,27 @@ def _kinds(shape: str) -> list[tuple[str, float]]:
     ]
 
 
-def _summed(views: Sequence[OutlineView]) -> FloatArray:
-    """Return mean scores (levels, kinds, rows, columns) at the sizes of the first view."""
+def _away(kinds: Sequence[tuple[str, float]], triangle_center: TriangleCenter) -> FloatArray:
+    """Return (kinds, rows, columns) the squared distance of the middle from the mark, in steps."""
     steps = np.arange(-OFF_STEPS, OFF_STEPS + 1)
-    away = steps[:, None] ** 2 + steps**2
+    below = [
+        middle_below_box(turned, WORK_PX / np.sqrt(aspect), triangle_center)
+        for turned, aspect in kinds
+    ]
+    return np.asarray((steps[:, None] + np.array(below)[:, None, None]) ** 2 + steps**2)
+
+
+def _summed(views: Sequence[OutlineView], away: FloatArray) -> FloatArray:
+    """Return mean scores (levels, kinds, rows, columns) at the sizes of the first view.
+
+    ``away`` as ``_away``.
+    """
     total, count = np.zeros(views[0].profile.shape), np.zeros(len(HALF_PX))
     for view in views:
         relative = view.scale / views[0].scale
         shifted, seen = _at_sizes(view.profile, np.log(relative) / _LEVEL)
-        pull = away * (HALF_PX[:, None, None] * relative / WORK_PX / view.sigma_px) ** 2
-        shifted -= _PULL * np.minimum(pull, _MOST_PULL)[:, None]
+        in_sigmas = HALF_PX[:, None, None, None] * relative / WORK_PX / view.sigma_px
+        shifted -= _PULL * np.minimum(away * in_sigmas**2, _MOST_PULL)
         total[seen] += shifted[seen]
         count += seen
     enough = count >= max(1.0, 0.5 * len(views))

@@ -63,20 +63,22 @@ class Outline:
     @property
     def to_centroid_px(self) -> float:
         """Rows from the middle of a triangle's box to the centroid; NaN for other shapes."""
-        if self.shape not in _TRIANGLES:
-            return float("nan")
-        third = float(self.half_px[1]) / 3.0
-        return third if self.shape == "triangle" else -third
+        return middle_below_box(self.shape, float(self.half_px[1]), "centroid") or float("nan")
 
     def middle_px(self, triangle_center: TriangleCenter) -> FloatArray:
         """Return the sign's middle (2,), of a triangle as defined."""
-        if triangle_center == "box" or np.isnan(self.to_centroid_px):
-            return self.center_px
-        return np.asarray(self.center_px + np.array([0.0, self.to_centroid_px]))
+        below = middle_below_box(self.shape, float(self.half_px[1]), triangle_center)
+        return np.asarray(self.center_px + np.array([0.0, below]))
 
     def is_of(self, shape: str) -> bool:
         """Whether it is an outline of a class's shape, upright or upside down."""
         return self.shape in turns_of(shape)
+
+
+def middle_below_box(shape: str, half_height: float, triangle_center: TriangleCenter) -> float:
+    """Return by how much a sign's middle is below that of its outline's box."""
+    side = {"triangle": 1.0, "triangle down": -1.0}.get(shape, 0.0)
+    return 0.0 if triangle_center == "box" else side * half_height / 3.0
 
 
 def turns_of(shape: str) -> tuple[str, ...]:
@@ -109,11 +111,9 @@ def _outline_points(shape: str, per_side: int, half: FloatArray) -> tuple[FloatA
 
 def outline_polygon(outline: Outline) -> FloatArray:
     """Return the corners (n, 2) of an outline; of a circle, points on it."""
-    if outline.shape == "circle":
-        return np.asarray(
-            outline.center_px + _unit("circle", 8)[0].reshape(-1, 2) * outline.half_px
-        )
-    return np.asarray(outline.center_px + np.array(_CORNERS[outline.shape]) * outline.half_px)
+    circle = outline.shape == "circle"
+    corners = _unit("circle", 8)[0].reshape(-1, 2) if circle else _CORNERS[outline.shape]
+    return np.asarray(outline.center_px + np.array(corners) * outline.half_px)
 
 
 def find_outlines(

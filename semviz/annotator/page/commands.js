@@ -9,7 +9,7 @@ import { switchTheme } from "/static/theme.js";
 import { backToImages, nextPanel } from "./focus.js";
 import { toggleHistory } from "./history.js";
 import { jumpCommands } from "./jumps.js";
-import { proposalCommands, proposing } from "./proposals.js";
+import { proposalCommands, proposing, whyIncomplete } from "./proposals.js";
 import { reviewCommands } from "./review.js";
 import { secondCommands } from "./second.js";
 import { travelCommands } from "./travel.js";
@@ -209,8 +209,12 @@ export function editing(state, actions) {
     },
     /** @param {"reviewed" | "reviewed, empty"} reviewState */
     review(reviewState) {
-      const { frame } = state;
+      const { frame, shownFrame, connected } = state;
       if (frame === null) return;
+      if (connected && !shownFrame) {
+        actions.notify(whyIncomplete(state));
+        return;
+      }
       const now = state.labels.frames.find(({ index }) => index === frame)?.state;
       if (now !== reviewState || state.pending.length) actions.submit({ kind: "review", frame_index: frame, state: reviewState });
     },

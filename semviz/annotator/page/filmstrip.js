@@ -40,6 +40,7 @@ export class Filmstrip {
     /** @type {string | null} */
     this.chosen = null; // the cell that keys act on
     this.isWanted = false; // the strip waits for saved edits before it is searched
+    this.isLeft = false; // for one of its frames, to draw what the strip lacks there
     /** @type {number | null} */
     this.goesTo = null; // the frame that follows the strip
     this.grid = new FilmstripGrid(this);
@@ -101,9 +102,10 @@ export class Filmstrip {
     this.state.set({});
   }
 
-  /** After a frame was reviewed: the strip of the frames before it, else the next frame or key frame. */
+  /** After a frame was reviewed: the strip that it was opened from, or that of the frames before it, else the next frame or
+   * key frame. */
   goOn() {
-    if (this.isSparse && this.#before().length) this.page.views.open("filmstrip");
+    if (this.isResumed || (this.isSparse && this.#before().length)) this.page.views.open("filmstrip");
     else this.page.go(this.#at(this.isSparse ? STRIDE : 1));
   }
 
@@ -135,17 +137,27 @@ export class Filmstrip {
 
   // -- a part of the page
 
+  /** Whether the frame on screen was opened from the strip, which is shown next as it was left. */
+  get isResumed() {
+    return this.isLeft && this.frames.includes(this.state.frame ?? -1);
+  }
+
   entered() {
-    const before = this.#before();
-    this.frames = before.length ? before : this.#ahead();
-    this.goesTo = before.length ? this.#at(this.isSparse ? STRIDE : 1) : this.frames[this.frames.length - 1] ?? null;
-    this.found.clear();
-    this.answers.clear();
-    this.takesWeak = false;
-    this.placed.clear();
+    if (!this.isResumed) this.#begin();
+    this.isLeft = false;
+    this.found.clear(); // what was drawn meanwhile is followed into the other frames
     this.chosen = null;
     this.isWanted = this.frames.length > 0;
     this.state.set({});
+  }
+
+  #begin() {
+    const before = this.#before();
+    this.frames = before.length ? before : this.#ahead();
+    this.goesTo = before.length ? this.#at(this.isSparse ? STRIDE : 1) : this.frames[this.frames.length - 1] ?? null;
+    this.answers.clear();
+    this.takesWeak = false;
+    this.placed.clear();
   }
 
   /** Redraws; called whenever the state of the page changes. */
@@ -276,7 +288,7 @@ export class Filmstrip {
     this.state.set({});
   }
 
-  /** Shows a frame of the strip in the images.
+  /** Shows a frame of the strip in the images; the key that goes on leads back.
    *
    * @param {number | undefined} frame
    */
@@ -284,5 +296,7 @@ export class Filmstrip {
     if (frame === undefined) return;
     this.page.views.open("images");
     this.page.go(frame);
+    this.isLeft = true;
+    this.page.notify(`Draw what the filmstrip lacks; ${this.keys.shown("Ctrl Enter")} goes back to it.`);
   }
 }

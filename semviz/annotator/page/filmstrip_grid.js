@@ -11,8 +11,8 @@ import { marksOf } from "./proposals.js";
 import { counted, shownScore } from "./values.js";
 import { RenderCache, badge } from "./widgets.js";
 
-const NAMES = 84, GAP = 6, HEADER = 26; // of the grid, CSS pixels
-const HEIGHT = { least: 58, most: 190 }; // of a row
+const NAMES = 84, GAP = 6, HEADER = 36; // of the grid, CSS pixels; the header with the grid's rim
+const HEIGHT = { least: 40, most: 190 }; // of a row
 const DRAG_FROM = 4; // CSS pixels; a shorter one is a click
 const HINTS = /** @type {const} */ ([
   [["Ctrl Enter"], "accept what is marked ✓"], [["Shift G"], "mark weak ones too"], [["Click"], "take, leave out"], [["Drag"], "correct"],
@@ -45,12 +45,13 @@ export class FilmstripGrid {
     return true;
   }
 
-  /** The elements of the strip, class by class, the nearest first. */
+  /** The elements of the strip: first those with weak marks; class by class, the nearest first. */
   get rows() {
     /** @type {Map<string, Proposal>} */
     const rows = new Map();
+    const weak = new Set(this.strip.cells.filter(({ proposal }) => !proposal.is_confident).map(({ proposal }) => proposal.id));
     for (const { proposal } of this.strip.cells) if (!rows.has(proposal.id)) rows.set(proposal.id, proposal);
-    return [...rows.values()].sort((a, b) => a.class_id - b.class_id || (a.depth_m ?? 0) - (b.depth_m ?? 0));
+    return [...rows.values()].sort((a, b) => Number(weak.has(b.id)) - Number(weak.has(a.id)) || a.class_id - b.class_id || (a.depth_m ?? 0) - (b.depth_m ?? 0));
   }
 
   show() {
@@ -80,7 +81,7 @@ export class FilmstripGrid {
     const { strip } = this, { frames, state } = strip;
     const rows = this.rows;
     const wide = (this.body.clientWidth - NAMES - 20) / Math.max(frames.length, 1) - GAP;
-    const tall = Math.min(HEIGHT.most, Math.max(HEIGHT.least, (this.body.clientHeight - HEADER) / Math.max(rows.length, 1) - GAP));
+    const tall = Math.min(HEIGHT.most, Math.max(HEIGHT.least, Math.floor((this.body.clientHeight - HEADER) / Math.max(rows.length, 1)) - GAP));
     this.seen = this.body.clientHeight;
     this.redraws.clear();
     this.body.style.gridTemplateColumns = `${NAMES}px repeat(${frames.length}, minmax(0, 1fr))`;

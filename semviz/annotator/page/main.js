@@ -263,7 +263,8 @@ export class Page {
     });
     socket.on("saved_operation", ({ reply_to: request, operation }) => {
       if (request !== null) this.outbox?.saw(request, operation);
-      state.set({ onDisk: request === null ? null : { request, operation } });
+      state.onDisk = request === null ? null : { request, operation };
+      if (state.isReady) this.panels.topBar.showSaved(); // nothing else: its labels follow, and drawing them takes longer
       this.#release();
     });
     socket.on("edit_saved", (event) => this.#saved(event));
@@ -324,8 +325,9 @@ export class Page {
   /** @param {annotator.LabelledFrameView} frame */
   #showFrame(frame) {
     const { state } = this;
+    if (frame.index !== state.frame) return; // somebody has gone on, and may have come back to what is shown
     state.set({ received: { ...state.labels, frame } });
-    if (!state.knowsPanes && frame.index === state.frame) this.#showPictures(frame.index); // the second image is known now
+    if (!state.knowsPanes) this.#showPictures(frame.index); // the second image is known now
     this.preview();
     this.#selectSought();
   }
@@ -409,7 +411,7 @@ export class Page {
     }));
     this.#release();
     const rank = state.order.indexOf(index);
-    for (const near of [state.order[rank + 1], state.order[rank - 1]]) {
+    for (const near of [1, -1, 2].map((by) => state.order[rank + by])) {
       if (near === undefined) continue;
       pictures.get(near, "left");
       if (state.knowsPanes) pictures.get(near, "right");

@@ -36,7 +36,8 @@ export class Panels {
     this.keys = keys;
     this.page = page;
     this.edit = editing(state, page);
-    this.parts = [new TopBar(state, keys, page), new Aids(state, keys), new Jumps(state, keys, page), new Strip(state, page), new QuestionBar(page), ...more];
+    this.topBar = new TopBar(state, keys, page);
+    this.parts = [this.topBar, new Aids(state, keys), new Jumps(state, keys, page), new Strip(state, page), new QuestionBar(page), ...more];
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.timer = undefined;
     this.queued = false;

@@ -7,7 +7,7 @@
 /** @import {State} from "./state.js" */
 import { byId, el, fixed } from "/static/dom.js";
 import { classGlyph, statusMark } from "/static/glyphs.js";
-import { RenderCache, badge, header, row } from "./widgets.js";
+import { RenderCache, badge, capital, header, row } from "./widgets.js";
 
 /** @type {Record<string, string>} */
 const KEYS = { refine: "Shift F", "leave out": "Shift O", keep: "Shift K" };
@@ -41,7 +41,7 @@ export class PosePanels {
     this.cache.show("pose-effects", [stretch], () => this.#effects());
     this.cache.show("pose-moved", [stretch, this.state.selected?.element], () => this.#moved());
     this.cache.show("pose-hints", [], () => HINTS.map(([keys, text]) => this.#hint(/** @type {string[]} */ (keys), String(text))));
-    byId("pose-count").textContent = known?.poses?.sentence ?? "";
+    byId("pose-count").textContent = [known?.poses?.sentence, known?.poses?.unchecked].filter(Boolean).join("; ");
   }
 
   #bar() {
@@ -76,7 +76,9 @@ export class PosePanels {
     if (!known || known.state === "unknown") return [el("p", { text: "The poses have not been compared with the images yet." })];
     if (known.state === "failed") return [el("h3", {}, statusMark("cannot"), "Not compared"), el("p", { text: known.failure })];
     if (known.state === "working" || !known.poses) return [el("h3", {}, "Comparing poses and images"), el("p", { class: "dim", text: progress(known) })];
-    return [el("h3", {}, statusMark("ok"), "Poses and images agree"), el("p", { text: known.poses.sentence })];
+    const { sentence, unchecked } = known.poses;
+    const missing = unchecked ? el("p", { class: "warning", text: `${capital(unchecked)}.` }) : null;
+    return [el("h3", {}, statusMark(unchecked ? "ambiguous" : "ok"), unchecked ? "Too little evidence in places" : "Poses and images agree"), el("p", { text: sentence }), missing];
   }
 
   /**

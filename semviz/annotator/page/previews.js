@@ -45,11 +45,23 @@ export class Previews {
     try {
       const { preview } = await this.page.socket.request("preview_draft", { draft });
       if (!draft.drawing && !this.state.dragged) this.known.set(about, preview);
-      this.state.set({ preview: this.state.past ? null : preview, previewed });
+      this.#show(this.state.past ? null : preview, previewed);
     } catch (refusal) {
       if (!(refusal instanceof Refusal)) throw refusal;
-      if (refusal.code === "offline") this.state.set({ preview: this.known.get(about) ?? null, previewed });
+      if (refusal.code === "offline") this.#show(this.known.get(about) ?? null, previewed);
       else this.page.notify(refusal.message, "wrong");
     }
+  }
+
+  /** Shows a preview, unless the page has gone on or shows it already: each change draws the page anew.
+   *
+   * @param {annotator.DraftPreview | null} preview
+   * @param {{frame: number | null, subject: string}} previewed
+   */
+  #show(preview, previewed) {
+    const { state } = this;
+    if (previewed.frame !== state.frame || previewed.subject !== state.subject) return;
+    if (JSON.stringify([preview, previewed]) === JSON.stringify([state.preview, state.previewed])) return;
+    state.set({ preview, previewed });
   }
 }

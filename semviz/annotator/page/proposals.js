@@ -19,7 +19,12 @@ const ASKED_MS = 6000; // as long as the message is shown
 export function proposalCommands(state, actions, nextFrame) {
   const proposal = proposing(state, actions);
   const group = "Proposals";
-  const goOn = (/** @type {() => void} */ accept) => {
+  const goOn = (/** @type {() => void} */ accept, /** @type {KeyboardEvent | undefined} */ event) => {
+    const reason = event?.repeat ? "" : whyIncomplete(state);
+    if (event?.repeat || reason) { // a key that is held down looks at nothing
+      actions.notify(reason);
+      return;
+    }
     accept();
     actions.markReviewed();
     nextFrame();
@@ -27,8 +32,8 @@ export function proposalCommands(state, actions, nextFrame) {
   return [
     { key: " ", group, title: "Accept the current proposal", run: proposal.accept },
     { key: " ", shift: true, group, title: "Accept all confident proposals", row: "Accept confident; all", run: proposal.acceptSure },
-    { key: "Enter", ctrl: true, group, title: "The same, mark as reviewed, next frame", row: "Accept confident, reviewed, next", run: () => goOn(proposal.acceptSure) },
-    { key: "Enter", ctrl: true, shift: true, group, title: "Accept every proposal, mark as reviewed, next frame", row: "Accept all, reviewed, next", words: "all looked", run: () => goOn(proposal.acceptFound) },
+    { key: "Enter", ctrl: true, group, title: "The same, mark as reviewed, next frame", row: "Accept confident, reviewed, next", run: (event) => goOn(proposal.acceptSure, event) },
+    { key: "Enter", ctrl: true, shift: true, group, title: "Accept every proposal, mark as reviewed, next frame", row: "Accept all, reviewed, next", words: "all looked", run: (event) => goOn(proposal.acceptFound, event) },
     { key: "g", shift: true, group, title: "Accept every proposal, weak ones too", row: "Accept confident; all", words: "all looked", run: proposal.acceptFound },
     { key: "x", group, title: "Reject: not here", run: () => proposal.dismiss("rejected") },
     { key: "n", group, title: "Reject: no longer there", run: () => proposal.dismiss("absent") },
@@ -37,6 +42,18 @@ export function proposalCommands(state, actions, nextFrame) {
     { key: "Tab", group, title: "Next proposal", run: () => proposal.step(1) },
     { key: "Tab", shift: true, group, title: "Previous proposal", run: () => proposal.step(-1) },
   ];
+}
+
+/** Why not all that is proposed in the frame is on screen yet; "" if it is. Until then nobody can have seen it, and the
+ * key that accepts it and goes on would lose it.
+ *
+ * @param {State} state
+ */
+export function whyIncomplete({ connected, shownFrame, frame, pending, question, trouble, labelFile }) {
+  if (!shownFrame) return connected ? `Frame ${frame} is still loading: press again when it is there.` : "Offline: the labels of this frame are not known.";
+  if (!connected || question || trouble || labelFile.text) return ""; // the answer may take long
+  const isDrawn = pending.some(({ edit }) => edit.kind === "draw" && edit.frame_index === frame);
+  return isDrawn || shownFrame.is_searching ? "The images are still being searched: press again in a moment." : "";
 }
 
 /** The actions on proposals, for the present state.

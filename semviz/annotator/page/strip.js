@@ -29,15 +29,21 @@ export class Strip {
     this.current = null;
     /** @type {annotator.FrameSummary[]} */
     this.frames = [];
+    // where the tiles are, CSS pixels; asking anew would lay the page out at each change of the state
+    this.pitch = 0; // from one tile to the next; 0 while the strip is hidden
+    this.width = 0; // of the visible part
+    this.left = 0; // how far it is scrolled
     this.rail = el("div", { class: "rail" });
     this.root = byId("strip");
     this.root.append(this.rail);
-    this.root.addEventListener("scroll", () => this.#draw(), { passive: true });
-    new ResizeObserver(() => this.#draw()).observe(this.root);
+    this.root.addEventListener("scroll", () => this.#scrolled(this.root.scrollLeft), { passive: true });
+    const sizes = new ResizeObserver(() => this.#measure());
+    sizes.observe(this.root);
+    sizes.observe(this.rail);
   }
 
   show() {
-    const { labels, order, frame } = this.state;
+    const { labels, frame } = this.state;
     if (labels.frames !== this.frames) {
       this.frames = labels.frames;
       this.rail.style.width = `calc(${this.frames.length} * var(--pitch))`;
@@ -45,22 +51,38 @@ export class Strip {
     }
     if (this.current !== frame) {
       this.current = frame;
-      const pitch = this.#pitch();
-      this.root.scrollLeft = (order.indexOf(frame ?? -1) + 0.5) * pitch - this.root.clientWidth / 2;
+      this.#center();
     }
     this.#draw();
   }
 
-  /** CSS pixels from one tile to the next. */
-  #pitch() {
-    return this.rail.getBoundingClientRect().width / this.frames.length;
+  #measure() {
+    if (!this.frames.length) return; // they have not arrived yet
+    const pitch = this.rail.getBoundingClientRect().width / this.frames.length;
+    const isOther = pitch !== this.pitch;
+    Object.assign(this, { pitch, width: this.root.clientWidth });
+    if (isOther) this.#center();
+    this.#draw();
+  }
+
+  /** Scrolls to the current tile. */
+  #center() {
+    const most = this.frames.length * this.pitch - this.width;
+    const middle = (this.state.order.indexOf(this.current ?? -1) + 0.5) * this.pitch;
+    this.root.scrollLeft = this.left = Math.max(0, Math.min(middle - this.width / 2, most));
+  }
+
+  /** @param {number} left */
+  #scrolled(left) {
+    if (left === this.left) return;
+    this.left = left;
+    this.#draw();
   }
 
   #draw() {
-    if (!this.frames.length) return;
-    const pitch = this.#pitch();
-    const first = Math.max(0, Math.floor(this.root.scrollLeft / pitch) - BESIDE);
-    const last = Math.min(this.frames.length - 1, Math.ceil((this.root.scrollLeft + this.root.clientWidth) / pitch) + BESIDE);
+    if (!this.pitch) return;
+    const first = Math.max(0, Math.floor(this.left / this.pitch) - BESIDE);
+    const last = Math.min(this.frames.length - 1, Math.ceil((this.left + this.width) / this.pitch) + BESIDE);
     for (const [place, tile] of this.tiles) {
       if (place >= first && place <= last) continue;
       tile.remove();

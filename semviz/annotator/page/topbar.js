@@ -43,13 +43,14 @@ export class TopBar {
     this.cache.show("step", [frame, order.length], () => this.#step());
     const done = labels.frames.filter(({ state }) => state.startsWith("reviewed")).length;
     this.cache.show("reviewed", [done, order.length], () => progress(done, order.length));
-    this.#saved();
+    this.showSaved();
     this.#labelFile();
     byId("undo", HTMLButtonElement).disabled = !labels.can_undo;
     byId("redo", HTMLButtonElement).disabled = !labels.can_redo;
   }
 
-  #saved() {
+  /** What is on disk. */
+  showSaved() {
     const { pending, connected, trouble, labels, labelFile, onDisk } = this.state;
     const node = byId("saved");
     const isOnDisk = (/** @type {Entry} */ { request }) => request === onDisk?.request;

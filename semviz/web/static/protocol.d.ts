@@ -876,6 +876,7 @@ export interface PosesView {
   stretches: Array<StretchView>;
   open: number;
   sentence: string;
+  unchecked: string;
 }
 
 /** Request guides and numbers of a draft. */

@@ -24,7 +24,6 @@ from semviz_annotation.mapping.association.ray_votes import (
 )
 from semviz_core.base.detector_model import DetectorModel
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
-from semviz_core.localizability.route import recall_at
 
 _WINDOW_M = 60.0
 """Images farther than this before or after a detection along the drive are not searched: a second
@@ -55,7 +54,7 @@ class SearchOptions:
     def of_detector(self, model: DetectorModel) -> "SearchOptions":
         """Return these options with the measured rates of a detector."""
         range_m = BIN_M * (np.arange(len(self.recall), dtype=np.float64) + 0.5)
-        recall = np.clip(recall_at(model, range_m), *_RECALL_RANGE)
+        recall = np.clip(model.recall_at(range_m), *_RECALL_RANGE)
         top, bottom = self.good_ends
         return replace(
             self,

@@ -78,7 +78,7 @@ def evidence_of(passes: Sequence[Pass], semantic_map: SemanticMap, candidates: i
             shown, away_m = (case.in_view & clear) | detected, _away_m(case)
             chances[rows, column] += shown
             seen[rows, column] += detected
-            expected[rows, column] += np.where(shown, _recall(away_m, one.detector), 0.0)
+            expected[rows, column] += np.where(shown, one.detector.recall_at(away_m), 0.0)
             for kept, of in zip(nearest, (detected, shown & ~detected), strict=True):
                 kept.add(rows[of], column, away_m[of], position)
         met = seen[:, column] > 0
@@ -129,8 +129,3 @@ def _away_m(case: FrameReference) -> FloatArray:
     """Return the distances (n,) of the nearby elements."""
     assert case.reference is not None
     return np.asarray(np.linalg.norm(case.reference.apply(case.nearby.anchor_m), axis=1))
-
-
-def _recall(away_m: FloatArray, model: DetectorModel) -> FloatArray:
-    recall = (model.recall_near, model.recall_far)
-    return np.asarray(np.interp(away_m, (model.near_m, model.far_m), recall))

@@ -1,0 +1,157 @@
+"""Corrections of drives by the landmarks that they share: one sparse least-squares problem.
+
+Each element measures its landmark: landmark = element + design @ corrections + noise, with the
+element's own covariance. Landmarks are eliminated (Schur complement), so the unknowns are the
+corrections alone. Elements that fit badly count less (Cauchy's weights).
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+_ALONG_M = 5.0
+"""Sigma along a pole of an end that no view shows: what was seen of it is no end."""
+_LEAST_M = 0.01
+_CAUCHY = 3.0
+_MEDIAN_CHI2 = 2.0 * np.log(2.0)
+"""Of two degrees of freedom."""
+_STEPS = 4
+_SYMMETRIC: dict[str, Any] = {
+    "permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True},
+}  # fmt: skip
+"""Without it the factors of 200 drives have a hundred times as many entries."""
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """Corrected elements, and the landmarks that they measure."""
+
+    correction: FloatArray
+    """(k, 4) of the knots: x, y, z (m), turn (rad)."""
+    ends_m: FloatArray
+    """(n, 6) corrected elements; 0 for a sign's end."""
+    landmark_m: FloatArray
+    """(l, 6) anchor and end; 0 for a sign's end."""
+    covariance_m2: FloatArray
+    """(l, 6, 6) of landmarks where their drives are corrected as estimated: errors that a whole
+    stretch shares are not in it."""
+
+    def scatter_m(self, landmark: IntArray, variance_m2: FloatArray) -> float:
+        """Return the sigma, in each direction on the ground, by which elements scatter about their
+        landmarks (n,) beyond what their variances (n,) explain; 0 if no landmark has two."""
+        count = np.bincount(landmark)[landmark]
+        off_m2 = ((self.ends_m - self.landmark_m[landmark])[:, :2] ** 2).sum(axis=1)
+        shared = count > 1
+        if not shared.any():
+            return 0.0
+        free = (1.0 - 1.0 / count[shared]) * _MEDIAN_CHI2
+        excess_m2 = np.median(off_m2[shared] / free) - np.median(variance_m2[shared])
+        return float(np.sqrt(max(excess_m2, 0.0)))
+
+    def chi2(self, information: FloatArray, landmark: IntArray) -> FloatArray:
+        """Return the squared misfit (n,) of each element to its landmark (n,), in sigmas."""
+        off = self.ends_m - self.landmark_m[landmark]
+        return np.asarray(np.einsum("ni,nij,nj->n", off, information, off))
+
+
+def information_of(
+    ends_m: FloatArray,
+    covariance_m2: FloatArray,
+    is_line: BoolArray,
+    known: BoolArray,
+    scatter_m: float,
+) -> FloatArray:
+    """Return the information (n, 6, 6) of elements (n, 6).
+
+    An unknown end tells nothing along its pole, a sign nothing of an end. ``known`` is (n, 2).
+    ``scatter_m`` is the sigma, in each direction, of what moves an element as a whole and is
+    neither in its covariance nor a correction of its drive.
+    """
+    axis = np.nan_to_num(ends_m[:, :3] - ends_m[:, 3:])
+    axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
+    along_m2 = np.einsum("ni,nj->nij", axis, axis) * _ALONG_M**2
+    whole_m2 = scatter_m**2 * np.kron(np.ones((2, 2)), np.eye(3))
+    spread_m2 = covariance_m2 + whole_m2 + _LEAST_M**2 * np.eye(6)
+    for end, rows in enumerate((slice(0, 3), slice(3, 6))):
+        is_open = is_line & ~known[:, end]
+        spread_m2[:, rows, rows] += along_m2 * is_open[:, None, None]
+    spread_m2[~is_line, :3, 3:] = spread_m2[~is_line, 3:, :3] = 0.0
+    information = np.linalg.inv(spread_m2)
+    information[~is_line, 3:, 3:] = 0.0
+    return np.asarray(information)
+
+
+def align(
+    ends_m: FloatArray,
+    information: FloatArray,
+    design: "csr_array",
+    prior: "csr_array",
+    landmark: IntArray,
+) -> Alignment:
+    """Return the corrections that bring the elements (n, 6) of each landmark (n,) together.
+
+    ``design`` (6n, 4k) and ``prior`` (4k, 4k) are those of ``Knots``. Landmarks count from 0.
+    """
+    weight = np.ones(len(ends_m))
+    for _ in range(_STEPS):
+        weighted = information * weight[:, None, None]
+        result = _solved(ends_m, weighted, design, prior, landmark)
+        weight = 1.0 / (1.0 + result.chi2(information, landmark) / _CAUCHY**2)
+    return result
+
+
+def _solved(
+    ends_m: FloatArray,
+    information: FloatArray,
+    design: "csr_array",
+    prior: "csr_array",
+    landmark: IntArray,
+) -> Alignment:
+    """Solve for the corrections c: with elements x, information W and design A, landmarks are
+    y = (sum W)^-1 sum W (x + A c), and their elimination leaves a system in c alone."""
+    from scipy.sparse import csr_array, eye_array, kron
+    from scipy.sparse.linalg import splu
+
+    sums, start_m = _sums_of(landmark), np.nan_to_num(ends_m)
+    total = (sums @ information.reshape(-1, 36)).reshape(-1, 6, 6)
+    covariance_m2 = np.linalg.inv(total + np.eye(6) * (total == 0.0))
+    middle_m = (sums @ start_m) / sums.sum(axis=1)[:, None]
+    pull = _times(information, start_m - middle_m[landmark])
+    pulled_m = _times(covariance_m2, sums @ pull)
+
+    weighted = _blocks(information) @ design
+    by_landmark = csr_array(kron(sums, eye_array(6))) @ weighted
+    shared = _blocks(covariance_m2) @ by_landmark
+    normal = prior + design.T @ weighted - by_landmark.T @ shared
+    right = design.T @ pull.ravel() - by_landmark.T @ pulled_m.ravel()
+    c = -splu(normal.tocsc(), **_SYMMETRIC).solve(right)
+    corrected_m = start_m + (design @ c).reshape(-1, 6)
+    landmark_m = middle_m + pulled_m + (shared @ c).reshape(-1, 6)
+    return Alignment(c.reshape(-1, 4), corrected_m, landmark_m, covariance_m2)
+
+
+def _times(blocks: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return the products (n, 6) of blocks (n, 6, 6) and vectors (n, 6)."""
+    return np.asarray(np.einsum("nij,nj->ni", blocks, vectors))
+
+
+def _sums_of(landmark: IntArray) -> "csr_array":
+    """Return the matrix (l, n) that adds up the elements of each landmark."""
+    from scipy.sparse import csr_array
+
+    count, number = int(landmark.max(initial=-1)) + 1, np.arange(len(landmark))
+    return csr_array((np.ones(len(landmark)), (landmark, number)), (count, len(landmark)))
+
+
+def _blocks(blocks: FloatArray) -> "csr_array":
+    """Return the block-diagonal matrix of (n, 6, 6)."""
+    from scipy.sparse import bsr_array
+
+    n = len(blocks)
+    return bsr_array((blocks, np.arange(n), np.arange(n + 1)), (6 * n, 6 * n)).tocsr()

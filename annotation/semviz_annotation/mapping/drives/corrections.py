@@ -1,0 +1,152 @@
+"""How the errors of a drive's poses move its map: corrections at knots along its way.
+
+A correction is a shift (m) and a turn about the vertical (rad) around the place of the drive. It
+varies slowly along the way: an Ornstein-Uhlenbeck process over knots, whose sigma is that of the
+poses and whose correlation falls to 1/e over ``CORRELATION_M``. Tilt is taken as known, since every
+vehicle measures it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from semviz_core.base.semantic_map import SemanticMap, footprint_m
+from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.common.errors import SemvizError
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+KNOT_M = 10.0
+"""Edge of the cells of a drive's way that share a knot."""
+CORRELATION_M = 100.0
+_NEAREST = 3
+_WEIGHT_M = 6.0
+"""An element is moved by the nearest knots, weighted by a Gaussian of this sigma."""
+_FIXED_SIGMA = 1e-4
+"""Of poses that are to stay, as a share of that of others."""
+FREEDOM = 4
+"""Numbers of a correction: x, y, z (m), turn (rad)."""
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """Standard deviations of the poses of a drive."""
+
+    sigma_m: float = 0.5
+    """Of each direction."""
+    sigma_rad: float = float(np.deg2rad(0.5))
+    """Of the heading."""
+
+    def __post_init__(self) -> None:
+        if not (self.sigma_m > 0.0 and self.sigma_rad > 0.0):
+            raise SemvizError("the errors of poses must be above 0; leave them out to use 0.5 m")
+
+
+@dataclass(frozen=True, eq=False)
+class Knots:
+    """k places along the ways of several drives."""
+
+    position_m: FloatArray
+    """(k, 3)"""
+    drive: IntArray
+    """(k,) ascending"""
+    parent: IntArray
+    """(k,) the knot before it on the way; -1 for the first of a drive."""
+
+    @classmethod
+    def along(cls, maps: Sequence[SemanticMap]) -> "Knots":
+        """Return the knots of the drives of ``maps``.
+
+        A map without a way, such as an imported one, has one knot amid its elements.
+        """
+        ways = [
+            one.trajectory_m
+            if len(one.trajectory_m)
+            else footprint_m(one.elements).mean(axis=0)[None]
+            for one in maps
+        ]
+        parts = [_knots_of(way) for way in ways]
+        counts = np.array([len(position) for position, _ in parts])
+        first = np.repeat(np.cumsum(counts) - counts, counts)
+        parent = np.concatenate([parent for _, parent in parts])
+        return cls(
+            np.concatenate([position for position, _ in parts]),
+            np.repeat(np.arange(len(maps)), counts),
+            np.where(parent < 0, -1, parent + first),
+        )
+
+    def __len__(self) -> int:
+        return len(self.drive)
+
+    def information(self, errors: PoseErrors, fixed: Sequence[int]) -> "csr_array":
+        """Return the information (4k, 4k) of the corrections before any element is compared.
+
+        The drives ``fixed`` stay where they are.
+        """
+        from scipy.sparse import csr_array, diags_array, eye_array, kron
+
+        inner = np.flatnonzero(self.parent >= 0)
+        parent = self.parent[inner]
+        step_m = np.linalg.norm(self.position_m[inner] - self.position_m[parent], axis=1)
+        kept = np.exp(-step_m / CORRELATION_M)
+        variance = np.ones(len(self))
+        variance[inner] = 1.0 - kept**2
+        variance[np.isin(self.drive, np.asarray(fixed, np.int64))] *= _FIXED_SIGMA**2
+        shape = (len(self), len(self))
+        change = eye_array(len(self)) - csr_array((kept, (inner, parent)), shape)
+        along = change.T @ diags_array(1.0 / variance) @ change
+        sigma = np.array([errors.sigma_m] * 3 + [errors.sigma_rad])
+        return csr_array(kron(along, diags_array(1.0 / sigma**2)))
+
+    def design(self, ends_m: FloatArray, drive: IntArray) -> "csr_array":
+        """Return the derivative (6n, 4k) by the corrections of ``ends_m`` (n, 6) that the drives
+        (n,) measured; NaN for the ends of signs.
+        """
+        from scipy.sparse import csr_array
+
+        knot, weight = self._near(ends_m[:, :3], drive)
+        around = np.einsum("nw,nwi->ni", weight, self.position_m[knot])
+        arm = np.nan_to_num(ends_m.reshape(-1, 2, 3) - around[:, None])
+        jacobian = np.zeros((len(ends_m), 2, 3, FREEDOM))
+        jacobian[..., :3] = np.eye(3)
+        jacobian[..., 0, 3], jacobian[..., 1, 3] = -arm[..., 1], arm[..., 0]
+        values = weight[:, :, None, None] * jacobian.reshape(-1, 1, 6, FREEDOM)
+        row = 6 * np.arange(len(ends_m))[:, None, None, None] + np.arange(6)[:, None]
+        column = FREEDOM * knot[:, :, None, None] + np.arange(FREEDOM)
+        row, column = np.broadcast_to(row, values.shape), np.broadcast_to(column, values.shape)
+        shape = (6 * len(ends_m), FREEDOM * len(self))
+        return csr_array((values.ravel(), (row.ravel(), column.ravel())), shape)
+
+    def _near(self, points_m: FloatArray, drive: IntArray) -> tuple[IntArray, FloatArray]:
+        """Return the knots (n, w) that move points (n, 3), all of the point's drive, and their
+        weights."""
+        from scipy.spatial import cKDTree
+
+        knot = np.zeros((len(points_m), _NEAREST), np.int64)
+        distance_m = np.full(knot.shape, np.inf)
+        for number in np.unique(drive).tolist():
+            own, rows = np.flatnonzero(self.drive == number), np.flatnonzero(drive == number)
+            near = range(1, 1 + min(_NEAREST, len(own)))
+            found_m, found = cKDTree(self.position_m[own]).query(points_m[rows], list(near))
+            distance_m[rows, : len(near)], knot[rows, : len(near)] = found_m, own[found]
+        further_m2 = distance_m**2 - distance_m[:, :1] ** 2
+        weight = np.exp(-further_m2 / (2.0 * _WEIGHT_M**2))
+        return knot, weight / weight.sum(axis=1, keepdims=True)
+
+
+def _knots_of(way_m: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return the knots (k, 3) of a way (p, 3) in the order of their first visit, and the knot (k,)
+    that each was reached from, -1 for the first."""
+    cell = np.floor(way_m / KNOT_M).astype(np.int64)
+    _, first, of_point = np.unique(cell, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    knot = rank[of_point.ravel()]
+    counts = np.bincount(knot)
+    position = np.stack([np.bincount(knot, way_m[:, axis]) / counts for axis in range(3)], axis=1)
+    parent = np.concatenate([[-1], knot[first[order][1:] - 1]])
+    return position, parent

@@ -1,0 +1,140 @@
+"""Which elements of two drives are one landmark: pairs whose neighbours are shifted alike.
+
+Poses that are off by half a metre bring an element next to its neighbour in another drive. But the
+elements of one stretch are off together: a pair is believed if the pairs around it, of the same two
+drives, are shifted as it is. A pair whose rival is supported nearly as well waits for the next
+round, in which corrected drives lie closer.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from semviz_annotation.mapping.drives.corrections import CORRELATION_M
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+
+STRETCH_M = 40.0
+"""Pairs this close are shifted alike."""
+_GATE_SIGMAS = 3.5
+_LEAST_SHARE = 0.3
+"""Share of the elements around that must be shifted alike."""
+_MARGIN = 1.0
+"""By this many elements the support of a pair exceeds that of its rivals."""
+_KERNEL_SIGMAS = 2.0
+"""Shifts that differ by one sigma count for 0.9 of an element, by four for 0.1."""
+_KINDS_APART_M = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Elements of several drives, on the ground."""
+
+    position_m: FloatArray
+    """(n, 3) footprints: of a sign its centre, of a pole its middle at height 0."""
+    variance_m2: FloatArray
+    """(n,) mean of both horizontal directions."""
+    height_m: FloatArray
+    """(n,) of the anchor."""
+    kind: IntArray
+    """(n,) class."""
+    drive: IntArray
+    """(n,)"""
+
+
+class Pairs(NamedTuple):
+    """p pairs of elements of two drives, the first of the lower number."""
+
+    first: IntArray
+    """(p,)"""
+    second: IntArray
+    """(p,)"""
+    score: FloatArray
+    """(p,) elements that are shifted alike, less those of the best rival."""
+
+    def where(self, rows: BoolArray | IntArray) -> "Pairs":
+        return Pairs(self.first[rows], self.second[rows], self.score[rows])
+
+
+def vote(places: Places, sigma_m: float) -> Pairs:
+    """Return the pairs that are believed, each element at most once for each other drive.
+
+    Drives are off by ``sigma_m`` in each direction, as ``corrections`` says.
+    """
+    pairs = _near(places, sigma_m)
+    parts = [_believed(places, pairs.where(rows), sigma_m) for rows in _by_drives(places, pairs)]
+    if not parts:
+        return pairs
+    return Pairs(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def _near(places: Places, sigma_m: float) -> Pairs:
+    """Return pairs of one class and different drives within reach."""
+    from scipy.spatial import cKDTree
+
+    points = np.column_stack([places.position_m[:, :2], places.kind * _KINDS_APART_M])
+    widest_m = _GATE_SIGMAS * np.sqrt(2.0 * (sigma_m**2 + places.variance_m2.max()))
+    first, second = cKDTree(points).query_pairs(widest_m, output_type="ndarray").T
+    swap = places.drive[first] > places.drive[second]
+    first, second = np.where(swap, second, first), np.where(swap, first, second)
+    apart_m = points[first, :2] - points[second, :2]
+    variance_m2 = places.variance_m2[first] + places.variance_m2[second]
+    gate_m = _GATE_SIGMAS * np.sqrt(2.0 * sigma_m**2 + variance_m2)
+    near = np.linalg.norm(apart_m, axis=1) <= gate_m
+    near &= np.abs(places.height_m[first] - places.height_m[second]) <= 2.0 * gate_m
+    near &= places.drive[first] != places.drive[second]
+    return Pairs(first[near], second[near], np.zeros(int(near.sum())))
+
+
+def _by_drives(places: Places, pairs: Pairs) -> Iterator[IntArray]:
+    """Yield the rows of the pairs of each two drives, by their first elements."""
+    drives = places.drive[pairs.first], places.drive[pairs.second]
+    order = np.lexsort((pairs.second, pairs.first, drives[1], drives[0]))
+    changes = np.any([np.diff(drive[order]) != 0 for drive in drives], axis=0)
+    starts = [0, *(np.flatnonzero(changes) + 1).tolist(), len(order)]
+    yield from (order[start:end] for start, end in pairwise(starts) if end > start)
+
+
+def _believed(places: Places, pairs: Pairs, sigma_m: float) -> Pairs:
+    """Return those of the pairs of two drives, ordered by first elements, that are believed."""
+    support, around = _support(places, pairs, sigma_m)
+    score = support - np.maximum(
+        _best_rival(pairs.first, support), _best_rival(pairs.second, support)
+    )
+    is_clear = (support >= _LEAST_SHARE * around) & (score >= _MARGIN)
+    return Pairs(pairs.first, pairs.second, score).where(is_clear)
+
+
+def _support(places: Places, pairs: Pairs, sigma_m: float) -> tuple[FloatArray, FloatArray]:
+    """Return how many elements around each pair (p,) are shifted alike, itself included, and how
+    many there are."""
+    at_m = places.position_m[pairs.first, :2]
+    shift_m = places.position_m[pairs.second, :2] - at_m
+    variance_m2 = places.variance_m2[pairs.first] + places.variance_m2[pairs.second]
+    away_m = np.linalg.norm(at_m[:, None] - at_m, axis=2)
+    change_m2 = 4.0 * sigma_m**2 * (1.0 - np.exp(-away_m / CORRELATION_M))
+    off_m2 = ((shift_m[:, None] - shift_m) ** 2).sum(axis=2)
+    near = away_m <= STRETCH_M
+    allowed_m2 = change_m2 + variance_m2[:, None] + variance_m2
+    alike = near * np.exp(-off_m2 / (2.0 * _KERNEL_SIGMAS**2 * allowed_m2))
+    starts = np.flatnonzero(np.diff(pairs.first, prepend=-1))
+    support = np.maximum.reduceat(alike, starts, axis=1).sum(axis=1)
+    around = np.maximum.reduceat(near, starts, axis=1).sum(axis=1)
+    return support, around.astype(np.float64)
+
+
+def _best_rival(element: IntArray, support: FloatArray) -> FloatArray:
+    """Return the largest support (p,) of another pair with the same element; 0 without one."""
+    order = np.lexsort((-support, element))
+    ordered, ranked = element[order], support[order]
+    is_first = np.diff(ordered, prepend=-1) != 0
+    best = ranked[is_first]
+    number = np.cumsum(is_first) - 1
+    is_second = ~is_first & np.concatenate([[False], is_first[:-1]])
+    second = np.zeros(len(best))
+    second[number[is_second]] = ranked[is_second]
+    rival = np.empty(len(element))
+    rival[order] = np.where(is_first, second[number], best[number])
+    return rival
