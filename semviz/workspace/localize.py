@@ -17,8 +17,18 @@ from typing import Any
 import numpy as np
 
 from semviz.presentation.terminal import announce_compiling, count_functions, track
+from semviz.runs.diagnosis import frame_diagnosis
 from semviz.runs.images import check_images_available, with_images
-from semviz.runs.run import RATES, TRACK, FrameRecord, Images, Observations, RunInfo, detector_model
+from semviz.runs.run import (
+    RATES,
+    TRACK,
+    FrameRecord,
+    Images,
+    Observations,
+    Run,
+    RunInfo,
+    detector_model,
+)
 from semviz.runs.writer import write_run
 from semviz.workspace import observations
 from semviz.workspace.detect import MODEL_FILE
@@ -130,20 +140,15 @@ class SequenceLocalization:
             )
 
     def __iter__(self) -> Iterator[FrameRecord]:
-        count_functions(self.localizer.warmup)
-        if self.jobs > 1 and self.again is not None:
-            yield from localized_in_processes(self.again, len(self.frames), self.jobs)
-            return
-        self._warm_up_frames()
+        self.warmup(count_functions)
         yield from self._localized(self.frames)
 
-    def warmup(self) -> None:
-        """Compile, or load from disk, what localizes, observes and tracks."""
-        self.localizer.warmup()
-        self._warm_up_frames()
+    def warmup(self, compile_: Callable[[Any], None] = lambda warmup: warmup()) -> None:
+        """Compile, or load from disk, what localizes, observes and tracks.
 
-    def _warm_up_frames(self) -> None:
-        """Do the same for what observes and tracks; the localizer is ready."""
+        ``compile_`` calls the localizer's ``warmup``, to show how far it is.
+        """
+        compile_(self.localizer.warmup)
         for _ in self._localized(self.frames[:WARM_UP_FRAMES]):
             pass
 
@@ -371,11 +376,48 @@ def record(
         images=images,
         camera=cameras_by_frame(localization.source).get(localization.frames[0].index, ""),
     )
-    records = (
-        with_images(record, localization.source, images, path.parent)
-        for record in track(localization, "localizing", len(localization.frames))
-    )
+    frames = _RecordedFrames(localization, Run(info, localization.semantic_map, ()), path.parent)
+    records = track(frames.all(), "localizing", len(localization.frames))
     return write_run(records, path, info, localization.semantic_map)
+
+
+@dataclass(frozen=True, eq=False)
+class _RecordedFrames:
+    """The localized frames as they are in a run, with their images."""
+
+    localization: SequenceLocalization
+    run: Run
+    """Has no frames."""
+    folder: Path
+    """Of the run."""
+
+    def all(self) -> Iterator[FrameRecord]:
+        """Localize all frames, in several processes if there are to be ``jobs``."""
+        localization = self.localization
+        if localization.jobs == 1 or localization.again is None:
+            yield from map(self._with_images, localization)
+            return
+        localization.warmup(count_functions)  # once, and not in each process
+        again = partial(_record_again, localization.again, self.run, self.folder)
+        yield from localized_in_processes(again, len(localization.frames), localization.jobs)
+
+    def warmup(self) -> None:
+        self.localization.warmup()
+
+    def localized(self, rows: range) -> Iterator[FrameRecord]:
+        """Yield some of the frames, each on its own; their diagnoses are then known."""
+        for record in map(self._with_images, self.localization.localized(rows)):
+            frame_diagnosis(self.run, record)
+            yield record
+
+    def _with_images(self, record: FrameRecord) -> FrameRecord:
+        return with_images(record, self.localization.source, self.run.info.images, self.folder)
+
+
+def _record_again(
+    again: Callable[[], SequenceLocalization], run: Run, folder: Path
+) -> _RecordedFrames:
+    return _RecordedFrames(again(), run, folder)
 
 
 def _observations(options: LocalizeOptions, processed: ProcessedImages | None) -> str:

@@ -1,13 +1,19 @@
 """``semviz localize --jobs``: several processes give the same run."""
 
+import multiprocessing
+import os
+import signal
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from semviz.cli import main
 from semviz.runs.reader import load_run
-from semviz.runs.run import FrameRecord
+from semviz.runs.run import KNOWN_DIAGNOSES, FrameRecord
+from semviz.workspace.frame_processes import localized_in_processes
 from semviz.workspace.workspace import TRUTH, Workspace
 
 FRAMES = 20
@@ -20,8 +26,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
 
 def localized(workspace: Workspace, out: Path, *options: str) -> int:
     with pytest.raises(SystemExit) as ended:
-        main(["localize", str(workspace.path), "--map", TRUTH, "--images", "none",
-              "--out", str(out), *options])  # fmt: skip
+        main(["localize", str(workspace.path), "--map", TRUTH, "--out", str(out), *options])
     return int(ended.value.code or 0)
 
 
@@ -33,6 +38,7 @@ def content(record: FrameRecord) -> list[object]:
     return [
         record.frame.index, found.status, found.reason, pose, covariance, scores,
         found.observed.anchor_px.tobytes(), found.submap.id.tobytes(),
+        record.image, KNOWN_DIAGNOSES[record].sentence,
     ]  # fmt: skip
 
 
@@ -62,3 +68,45 @@ def test_what_cannot_be_shared_is_refused(
     assert localized(workspace, tmp_path / "none.rrd", *options) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "none.rrd").exists()
+
+
+class Told:
+    """What stands for a record."""
+
+    def __init__(self, row: int) -> None:
+        self.row, self.process = row, os.getpid()
+        self.interrupt = signal.getsignal(signal.SIGINT)
+
+
+class Frames:
+    """Frames of which one kills the process that localizes it, unless it is the first process."""
+
+    def __init__(self, deadly: int | None = None) -> None:
+        self.deadly = deadly
+
+    def __call__(self) -> "Frames":
+        return self
+
+    def warmup(self) -> None:
+        pass
+
+    def localized(self, rows: range) -> Iterator[FrameRecord]:
+        for row in rows:
+            if row == self.deadly and multiprocessing.parent_process() is not None:
+                os.kill(os.getpid(), signal.SIGKILL)
+            yield cast(Any, Told(row))
+
+
+def test_a_killed_process_costs_no_frame(capfd: pytest.CaptureFixture[str]) -> None:
+    told: Any = list(localized_in_processes(Frames(deadly=40), 100, 2))
+    assert [record.row for record in told] == list(range(100))
+    assert {record.process for record in told[48:]} == {os.getpid()}
+    said = capfd.readouterr().err
+    assert said.count("\n") == 1
+    assert "a process of localize died (out of memory?) at frame" in said
+
+
+def test_ctrl_c_is_for_the_first_process_alone() -> None:
+    told: Any = list(localized_in_processes(Frames(), 20, 2))
+    assert {record.interrupt for record in told} == {signal.SIG_IGN}
+    assert signal.getsignal(signal.SIGINT) is not signal.SIG_IGN

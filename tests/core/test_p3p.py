@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from semviz_core.base.pose import so3_exp
 from semviz_core.common.arrays import FloatArray
-from semviz_core.localization.matched.minimal_solvers import solve_p3p
+from semviz_core.localization.matched.p3p import solve_p3p
 from semviz_core.localization.matched.p3p_ransac import Points, most_inliers
 
 Problem = tuple[FloatArray, FloatArray, FloatArray, FloatArray]

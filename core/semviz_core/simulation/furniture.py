@@ -64,6 +64,8 @@ _WHEEL: tuple[tuple[float, Color], ...] = (
 """Arch, tyre, rim and hub: radius and colour."""
 _CIRCLE = np.array([np.cos(np.linspace(0, 2 * np.pi, 21)), np.sin(np.linspace(0, 2 * np.pi, 21))])
 _DETAIL_M = 35.0
+_BOX_M = np.array([(x, y, z) for x in (-2.2, 2.2) for y in (-0.9, 0.9) for z in (0.0, 1.45)])
+"""(8, 3) corners of the box round the model."""
 
 
 def patches(car: Car, center_m: FloatArray, sun: FloatArray) -> list[Patch]:
@@ -212,7 +214,19 @@ def _is_ahead(item: StandingObject, view: drawing.PinholeView) -> bool:
     """Whether an object is in front of the camera; cars are clipped at the near plane."""
     if isinstance(item, Pole):
         return bool((view.depth(np.array([item.bottom_m, item.peak_m])) > drawing.NEAR_M).all())
-    return isinstance(item, Car) or bool(view.depth(item.middle_m) > 2 * drawing.NEAR_M)
+    if isinstance(item, Car):
+        return _may_show(item, view)
+    return bool(view.depth(item.middle_m) > 2 * drawing.NEAR_M)
+
+
+def _may_show(car: Car, view: drawing.PinholeView) -> bool:
+    """Whether the box round a car reaches into the image, or is cut by the near plane: most cars
+    are behind the camera or beside the image, and their polygons take long."""
+    corners = _BOX_M * car.scale @ car.rotation.T + car.middle_m
+    is_ahead = view.depth(corners) > drawing.NEAR_M
+    if is_ahead.all():
+        return view.polygon(corners) is not None
+    return bool(is_ahead.any())
 
 
 def paint_object(

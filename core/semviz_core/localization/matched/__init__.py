@@ -1,8 +1,9 @@
 """Estimate a pose from scored matches, some of them wrong.
 
-`matches` validates the matches, `minimal_solvers` solves samples of two or three of them, and
-`ransac` finds the pose with the largest one-to-one consensus. `p3p_ransac` is the paper's own
-estimator, kept for comparison. A frame without consensus gets a reason instead of a pose.
+`matches` validates the matches, `minimal_solvers` solves samples of two or three of them, those of
+three points by `p3p`, and `ransac` finds the pose with the largest one-to-one consensus.
+`p3p_ransac` is the paper's own estimator, kept for comparison. A frame without consensus gets a
+reason instead of a pose.
 """
 
 from typing import Literal, get_args

@@ -29,7 +29,8 @@ from semviz_core.common.jit import compiled
 from semviz_core.localization.least_squares import information
 from semviz_core.localization.matched import ransac
 from semviz_core.localization.matched.matches import Estimate, Matches
-from semviz_core.localization.matched.minimal_solvers import FARTHEST_M, MOST_POSES, solve_p3p
+from semviz_core.localization.matched.minimal_solvers import FARTHEST_M
+from semviz_core.localization.matched.p3p import MOST_POSES, solve_p3p
 from semviz_core.localization.refinement import Failure
 
 PNPL_ITERATIONS = 200

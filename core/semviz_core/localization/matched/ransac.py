@@ -1,9 +1,10 @@
 """RANSAC over minimal samples of poles and signs, with one-to-one consensus and refinement.
 
 Samples are drawn by score (Fischler and Bolles 1981), and residuals are truncated (Torr and
-Zisserman 2000). Local optimization (Chum, Matas and Kittler 2003) runs on problems whose
-detection noise is annealed. The number of inliers needed follows a contrario from chance
-agreement (Moisan and Stival 2004). A pose whose covariance is too large is no result.
+Zisserman 2000). Local optimization (Chum, Matas and Kittler 2003) of poses that are rated higher
+than all before pairs again within the covariance of each fit. The number of inliers needed follows
+a contrario from chance agreement (Moisan and Stival 2004). A pose whose
+covariance is too large is no result.
 """
 
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from semviz_core.base.frame import Prior
 from semviz_core.base.pose import Pose, nearest_rotation
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.jit import compiled
+from semviz_core.common.linalg import inverse
 from semviz_core.localization.association import associate
 from semviz_core.localization.least_squares import fit, fit_pairs
 from semviz_core.localization.matched.matches import NEEDED_PAIRS, Estimate, Matches
@@ -25,9 +27,8 @@ from semviz_core.localization.problem import PoseProblem, PriorRecord
 from semviz_core.localization.refinement import MOST_SIGMA_M, MOST_SIGMA_RAD, Failure
 from semviz_core.localization.residuals import EXACT_POSE
 
-SIGMAS_PX = (6.0, 2.0, 0.0)
-"""Blur of ``AnnealedProblems``. The first is the typical residual of true matches under a pose
-from a minimal sample of others."""
+SAMPLE_SIGMA_PX = 6.0
+"""Typical residual of true matches under a pose from a minimal sample of others."""
 CHANCE_FIT = 3e-4
 """Chance that a wrong match agrees with a wrong pose, measured on matches that were all wrong."""
 MOST_CHANCE = 0.01
@@ -36,8 +37,10 @@ LEAST_INFORMATION = 1e-3
 """Least information of the pose's weakest direction (sigma 30 m or rad) that is inverted."""
 LEAST_GAIN = 0.1
 """Smaller improvements (nats) are not worth another round."""
-_ROUNDS = 6
-_ITERATIONS = np.int64(20)  # a plain integer would have the fit compiled once more
+_ROUNDS = 4
+_STEPS, _STEPS_WITHOUT = np.int64(6), np.int64(4)
+"""Most steps of a fit, and of one without one of the pairs. Plain integers would have the fit
+compiled once for each of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,72 +58,93 @@ class Consensus:
         return np.asarray(self.mapped[pairs[:, 0]] == pairs[:, 1])
 
 
-class AnnealedProblems(NamedTuple):
-    """The problem of the given matches, with detections blurred less and less.
+def blurred(problem: PoseProblem, sigma_px: float) -> PoseProblem:
+    """Return ``problem`` with detections that are less certain by ``sigma_px``."""
+    seen = problem.seen.copy()
+    seen["variance_px2"] += sigma_px**2
+    return problem._replace(seen=seen)
 
-    Under a pose from a minimal sample, the other true matches are off by many sigmas: their
-    residuals are truncated, and bottoms pass for hidden. Without blur, the optimization would
-    converge to whatever fits by chance.
-    """
 
-    far: PoseProblem
-    near: PoseProblem
-    sharp: PoseProblem
+class Leading(NamedTuple):
+    """The best consensus so far."""
 
-    @classmethod
-    def of(cls, matches: Matches) -> "AnnealedProblems":
-        return cls(*(matches.problem(sigma_px) for sigma_px in SIGMAS_PX))
+    consensus: tuple[FloatArray, FloatArray, IntArray, float]
+    """Fields of ``Consensus``."""
+    rating: float
+    """The highest gain (nats) of a pose from a sample."""
 
 
 @compiled
-def rate_samples(far: PoseProblem, rotation: FloatArray, translation: FloatArray) -> FloatArray:
-    """Return the gains (b,) in nats of poses (b, 3, 3) and (b, 3) from minimal samples."""
+def optimize_best(
+    problem: PoseProblem,
+    rough: PoseProblem,
+    prior: PriorRecord,
+    rotation: FloatArray,
+    translation: FloatArray,
+    leading: Leading,
+) -> Leading:
+    """Return what leads after poses (b, 3, 3) and (b, 3) from minimal samples.
+
+    They are rated in the ``rough`` problem, whose detections are blurred by SAMPLE_SIGMA_PX. Those
+    that are rated higher than all before are optimized locally.
+    """
     gains = np.zeros(len(rotation))
-    for pose in range(len(rotation)):
-        _, gain = associate(far, rotation[pose], translation[pose], EXACT_POSE)
-        gains[pose] = gain.sum()
-    return gains
+    for row in range(len(rotation)):
+        _, gain = associate(rough, rotation[row], translation[row], EXACT_POSE.copy())
+        gains[row] = gain.sum()
+    best, most = leading.consensus, leading.rating
+    for row in np.argsort(-gains, kind="mergesort")[:OPTIMIZED]:
+        if gains[row] <= leading.rating:
+            break
+        R, t = rotation[row], translation[row]
+        mapped, _ = associate(rough, R, t, EXACT_POSE.copy())
+        found = _find_consensus(problem, prior, R, t, mapped)
+        if found[3] > best[3]:
+            best = found
+        most = max(most, gains[row])
+    return Leading(best, most)
 
 
 def find_consensus(
-    problems: AnnealedProblems, prior: PriorRecord, R: FloatArray, t: FloatArray
+    problem: PoseProblem, prior: PriorRecord, R: FloatArray, t: FloatArray, mapped: IntArray
 ) -> Consensus:
-    """Return the consensus near a pose."""
-    return Consensus(*_find_consensus(problems, prior, R, t))
+    """Return the consensus near a pose with its pairs."""
+    return Consensus(*_find_consensus(problem, prior, R, t, mapped))
 
 
-def improve_consensus(
-    problems: AnnealedProblems, prior: PriorRecord, consensus: Consensus
-) -> Consensus:
+def improve_consensus(problem: PoseProblem, prior: PriorRecord, consensus: Consensus) -> Consensus:
     """Return the best consensus near a given one, leaving out each match in turn: a wrong match, or
     a bottom wrongly taken for visible or hidden, can hold the pose away from it."""
     start = consensus.rotation, consensus.translation, consensus.mapped, consensus.gain
-    return Consensus(*_improve_consensus(problems, prior, *start))
+    return Consensus(*_improve_consensus(problem, prior, *start))
 
 
 @compiled
 def _find_consensus(
-    problems: AnnealedProblems, prior: PriorRecord, R: FloatArray, t: FloatArray
+    problem: PoseProblem, prior: PriorRecord, R: FloatArray, t: FloatArray, mapped: IntArray
 ) -> tuple[FloatArray, FloatArray, IntArray, float]:
-    mapped = np.zeros(0, np.int64)
-    total = -np.inf
-    for problem in (problems.far, problems.near, problems.sharp):
-        mapped, gain = associate(problem, R, t, EXACT_POSE)
-        for _ in range(_ROUNDS):
-            if (mapped >= 0).sum() < NEEDED_PAIRS:
-                return R, t, mapped, -np.inf
-            R, t, _, _ = fit(problem, prior, R, t, mapped, _ITERATIONS)
-            before = mapped
-            mapped, gain = associate(problem, R, t, EXACT_POSE)
-            if (mapped == before).all():
-                break
-        total = gain.sum()
-    return R, t, mapped, total - 0.5 * prior_chi2(prior, R, t)
+    """Fit the pose to its pairs, and pair again within its covariance, until they stay the same."""
+    for _ in range(_ROUNDS):
+        if (mapped >= 0).sum() < NEEDED_PAIRS:
+            return R, t, mapped, -np.inf
+        R, t, information, _ = fit(problem, prior, R, t, mapped, _STEPS)
+        before = mapped
+        mapped, _ = associate(problem, R, t, _covariance(information))
+        if (mapped == before).all():
+            break
+    mapped, gain = associate(problem, R, t, EXACT_POSE.copy())
+    return R, t, mapped, gain.sum() - 0.5 * prior_chi2(prior, R, t)
+
+
+@compiled
+def _covariance(information: FloatArray) -> FloatArray:
+    """Return the inverse (6, 6), finite even if the pairs do not fix the pose."""
+    return inverse(information + LEAST_INFORMATION * np.eye(6))
 
 
 @compiled
 def _improve_consensus(
-    problems: AnnealedProblems,
+    problem: PoseProblem,
     prior: PriorRecord,
     R: FloatArray,
     t: FloatArray,
@@ -133,8 +157,11 @@ def _improve_consensus(
         for i in np.flatnonzero(mapped >= 0):
             others = mapped.copy()
             others[i] = -1
-            free_R, free_t, _, _ = fit(problems.near, prior, R, t, others, _ITERATIONS)
-            candidate = _find_consensus(problems, prior, free_R, free_t)
+            free_R, free_t, information, _ = fit(problem, prior, R, t, others, _STEPS_WITHOUT)
+            again, _ = associate(problem, free_R, free_t, _covariance(information))
+            if (again == mapped).all():
+                continue  # the other pairs confirm this one
+            candidate = _find_consensus(problem, prior, free_R, free_t, again)
             if candidate[3] > best[3]:
                 best = candidate
     return best
@@ -144,11 +171,11 @@ def estimate_of(
     matches: Matches,
     problem: PoseProblem,
     prior: Prior | None,
-    best: Consensus | None,
+    best: Consensus,
     hypotheses: int,
 ) -> Estimate | Failure:
     """Return the pose of a consensus, or why there is none."""
-    if best is None:
+    if not best.gain > 0.0:
         return too_few_agree(matches, NEEDED_PAIRS - 1, hypotheses)
     inlier = best.inlier(matches.pairs)
     if (inliers := int(inlier.sum())) < needed_inliers(len(matches)):
@@ -202,17 +229,18 @@ def confident_estimate(
     )
 
 
-BATCH = 100
+FIRST_BATCH, BATCH = 40, 100
 """Samples drawn and scored at once."""
 MOST_SAMPLES = 3000
-OPTIMIZED = 12
+OPTIMIZED = 4
 """Poses of each batch that are optimized locally."""
 MISS_PROBABILITY = 1e-3
 """Accepted chance that no sample consisting of inliers only was drawn."""
-NOISE_FACTOR = 3.0
-"""Samples of inliers drawn until one gives a good pose in spite of noise."""
-TWO_MATCH_SHARE = 0.5
-"""Share of samples of two matches, if samples of two and of three are possible."""
+NOISE_FACTORS = 4.0, 1.5
+"""Samples of inliers drawn until one gives a good pose in spite of noise: without gravity, and
+with it."""
+TWO_MATCH_SHARES = 0.5, 0.8
+"""Share of samples of two matches, if samples of two and of three are possible; likewise."""
 LEAST_WEIGHT = 1e-3
 """Weight of matches of score 0, so that they are drawn occasionally."""
 GPS_SIGMAS = 5.0
@@ -224,37 +252,36 @@ CONTRADICTION = 12.0
 def ransac_minimal(matches: Matches, prior: Prior | None, seed: int) -> Estimate | Failure:
     """Return the pose with the largest one-to-one consensus, or why there is none."""
     rng = np.random.default_rng(seed)
-    sampler = _Sampler.of(matches, prior)
-    problems, record = AnnealedProblems.of(matches), PriorRecord.of(prior)
-    best: Consensus | None = None
+    sampler, record = _Sampler.of(matches, prior), PriorRecord.of(prior)
+    problem = matches.problem()
+    problems = problem, blurred(problem, SAMPLE_SIGMA_PX)
+    leading = Leading((np.eye(3), np.zeros(3), np.full(len(problem.seen), -1), 0.0), 0.0)
+    best = Consensus(*leading.consensus)
     drawn = evaluated = 0
     while drawn < sampler.enough(matches, best):
-        rotation, translation = sampler.poses(rng)
-        drawn, evaluated = drawn + BATCH, evaluated + len(rotation)
-        rating = rate_samples(problems.far, rotation, translation)
-        for row in np.argsort(-rating, kind="stable")[:OPTIMIZED]:
-            consensus = find_consensus(problems, record, rotation[row], translation[row])
-            if consensus.gain > (0.0 if best is None else best.gain):
-                best = consensus
-    if best is not None:
-        best, prior = _improve_with_prior(problems, prior, best)
-    return estimate_of(matches, problems.sharp, prior, best, evaluated)
+        batch = BATCH if drawn else FIRST_BATCH
+        poses = sampler.poses(rng, batch)
+        drawn, evaluated = drawn + batch, evaluated + len(poses[0])
+        leading = optimize_best(*problems, record, *poses, leading)
+        best = Consensus(*leading.consensus)
+    if best.gain > 0.0:
+        best, prior = _improve_with_prior(problem, prior, best)
+    return estimate_of(matches, problem, prior, best, evaluated)
 
 
 def _improve_with_prior(
-    problems: AnnealedProblems, prior: Prior | None, consensus: Consensus
+    problem: PoseProblem, prior: Prior | None, consensus: Consensus
 ) -> tuple[Consensus, Prior | None]:
     """Return the best consensus near a given one, and the prior unless the matches contradict it.
 
     A road's height, for example, is off by many sigmas where another road crosses.
     """
-    best = improve_consensus(problems, PriorRecord.of(prior), consensus)
+    best = improve_consensus(problem, PriorRecord.of(prior), consensus)
     if prior is None:
         return best, None
     nothing = PriorRecord.of(None)
-    alone = improve_consensus(
-        problems, nothing, find_consensus(problems, nothing, best.rotation, best.translation)
-    )
+    start = best.rotation, best.translation, best.mapped
+    alone = improve_consensus(problem, nothing, find_consensus(problem, nothing, *start))
     if alone.gain > best.gain + CONTRADICTION:
         return alone, None
     return best, prior
@@ -266,61 +293,50 @@ class _Sampler:
 
     prior: Prior | None
     constraints: Constraints
-    log_weight: FloatArray  # (k,)
+    weight: FloatArray  # (k,)
     conflicts: BoolArray  # (k, k)
     two_suffice: BoolArray  # (k,)
+
+    @property
+    def upright(self) -> bool:
+        """Whether gravity is known."""
+        return self.prior is not None and self.prior.up_camera is not None
 
     @classmethod
     def of(cls, matches: Matches, prior: Prior | None) -> "_Sampler":
         constraints = Constraints.of(matches)
         upright = prior is not None and prior.up_camera is not None
-        weight = np.maximum(matches.score, LEAST_WEIGHT)
         return cls(
             prior,
             constraints,
-            np.log(weight),
+            np.maximum(matches.score, LEAST_WEIGHT),
             matches.conflicts(),
             constraints.two_suffice(upright),
         )
 
-    def poses(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Return rotations (b, 3, 3) and translations (b, 3) that fit the samples of a batch."""
-        twos = round(BATCH * TWO_MATCH_SHARE) if self.two_suffice.sum() > 1 else 0
+    def poses(self, rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray]:
+        """Return rotations (b, 3, 3) and translations (b, 3) that fit ``count`` samples."""
+        twos = round(count * TWO_MATCH_SHARES[self.upright]) if self.two_suffice.sum() > 1 else 0
         up = None if self.prior is None else self.prior.up_camera
-        samples = self._draw(rng, twos, 2), self._draw(rng, BATCH - twos, 3)
-        batches = [sample_poses(self.constraints, sample, up) for sample in samples]
+        pairs = draw_samples(self.weight * self.two_suffice, self.conflicts, rng.random((twos, 2)))
+        triples = draw_samples(self.weight, self.conflicts, rng.random((count - twos, 3)))
+        batches = [sample_poses(self.constraints, samples, up) for samples in (pairs, triples)]
         rotation, translation = (np.concatenate(arrays) for arrays in zip(*batches, strict=True))
         near = self._near_prior(rotation, translation)
         return rotation[near], translation[near]
 
-    def enough(self, matches: Matches, best: Consensus | None) -> float:
+    def enough(self, matches: Matches, best: Consensus) -> float:
         """Return the number of samples after which one of inliers only was very likely drawn."""
-        if best is None:
+        if not best.gain > 0.0:
             return MOST_SAMPLES
-        weight, two, inlier = np.exp(self.log_weight), self.two_suffice, best.inlier(matches.pairs)
-        chance = (1.0 - TWO_MATCH_SHARE) * (weight[inlier].sum() / weight.sum()) ** 3
+        weight, two, inlier = self.weight, self.two_suffice, best.inlier(matches.pairs)
+        twos = TWO_MATCH_SHARES[self.upright] if two.sum() > 1 else 0.0
+        chance = (1.0 - twos) * (weight[inlier].sum() / weight.sum()) ** 3
         if (inlier & two).sum() > 1:
-            share = weight[inlier & two].sum() / weight[two].sum()
-            chance += TWO_MATCH_SHARE * share**2
-        needed = NOISE_FACTOR * np.log(MISS_PROBABILITY) / np.log1p(-min(chance, 0.999))
+            chance += twos * (weight[inlier & two].sum() / weight[two].sum()) ** 2
+        factor = NOISE_FACTORS[self.upright]
+        needed = factor * np.log(MISS_PROBABILITY) / np.log1p(-min(chance, 0.999))
         return float(min(needed, MOST_SAMPLES))
-
-    def _draw(self, rng: np.random.Generator, count: int, size: int) -> IntArray:
-        """Draw ``count`` samples of ``size`` matches by weight, no element twice.
-
-        Adding Gumbel noise to log weights and taking the largest draws by weight. Impossible
-        samples are dropped.
-        """
-        allowed = self.two_suffice if size == 2 else np.ones(len(self.log_weight), dtype=bool)
-        noise = rng.gumbel(size=(count, len(self.log_weight)))
-        key = np.where(allowed, self.log_weight + noise, -np.inf)
-        chosen = np.empty((count, size), dtype=np.int64)
-        possible = np.ones(count, dtype=bool)
-        for column in range(size):
-            chosen[:, column] = key.argmax(axis=1)
-            possible &= np.isfinite(key.max(axis=1))
-            key = np.where(self.conflicts[chosen[:, column]], -np.inf, key)
-        return chosen[possible]
 
     def _near_prior(self, rotation: FloatArray, translation: FloatArray) -> BoolArray:
         if self.prior is None:
@@ -329,3 +345,28 @@ class _Sampler:
         off = np.linalg.norm((center - self.prior.position_m)[:, :2], axis=1)
         near: BoolArray = off < GPS_SIGMAS * self.prior.horizontal_sigma_m
         return near
+
+
+@compiled
+def draw_samples(weight: FloatArray, conflicts: BoolArray, draws: FloatArray) -> IntArray:
+    """Return samples (b, s) of the k matches, drawn by weight (k,), no element twice.
+
+    ``conflicts`` (k, k) are the pairs with a common element, ``draws`` (c, s) uniform numbers.
+    Impossible samples are dropped.
+    """
+    samples, count = np.empty(draws.shape, dtype=np.int64), 0
+    for draw in draws:
+        left = weight.copy()
+        possible = True
+        for column in range(len(draw)):
+            sums = np.cumsum(left)
+            if sums[-1] <= 0.0:
+                possible = False
+                break
+            chosen = min(
+                np.searchsorted(sums, draw[column] * sums[-1], side="right"), len(left) - 1
+            )
+            samples[count, column] = chosen
+            left[conflicts[chosen]] = 0.0
+        count += possible
+    return samples[:count]
