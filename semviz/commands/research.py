@@ -145,7 +145,7 @@ class BenchmarkCommand:
 
     methods: parsing.OptionalText = None
     """Comma-separated, for example search,direct; default: all available methods, or those of the
-    paper's table for paper-20m and paper. A wrong name lists the known ones."""
+    paper's table for paper-20m, street-paper and paper. A wrong name lists the known ones."""
     noise: Literal["paper", "low", "both"] = "both"
     """Noise of the detections: the paper's table, 1 px and 0.3 deg, or both."""
     frames: int = 200
@@ -153,9 +153,10 @@ class BenchmarkCommand:
     seed: int = 1000
     """Seed of the first frame; frame i uses seed + i. Seeds below 1000 are for tuning."""
     suite: str = "frames"
-    """Comma-separated, for example frames,matched; hard: all hard sets; all: everything; paper-20m:
-    the paper's table with its printed figures, on its own protocol; paper: the same on the frames
-    of semviz. A wrong name lists the known ones."""
+    """Comma-separated, for example frames,matched; hard: all hard sets; all: everything else;
+    paper-20m: the paper's table with its printed figures, on its own protocol; street-paper: the
+    same on simulated streets, with pictures and scans; paper: the same on the frames of semviz. A
+    wrong name lists the known ones."""
     kitti_poses: parsing.OptionalPath = None
     """Folder with KITTI poses (09.txt); default: simulated roads."""
     pole_maps: parsing.OptionalPath = None
@@ -176,10 +177,10 @@ class BenchmarkCommand:
         os.environ |= parsing.ONE_THREAD
 
         from semviz.research.benchmark.report import (
-            METHODS,
             PAPER_SUITES,
             BenchmarkReport,
             draw_benchmark_plots,
+            methods_of_table,
         )
         from semviz.research.benchmark.runner import BenchmarkPlan, complete
         from semviz.research.benchmark.suites import Roads, choose_methods, choose_suites
@@ -192,7 +193,8 @@ class BenchmarkCommand:
                 raise SemvizError(f"{option} {number}: give {minimum} or more")
         suites = choose_suites(self.suite)
         is_paper = all(suite.name in PAPER_SUITES for suite in suites)
-        chosen = choose_methods(self.methods or (",".join(METHODS) if is_paper else None), suites)
+        of_table = ",".join(methods_of_table(suites)) if is_paper else None
+        chosen = choose_methods(self.methods or of_table, suites)
         plan = BenchmarkPlan(
             suites,
             noises=("paper", "low") if self.noise == "both" else (self.noise,),
@@ -234,7 +236,8 @@ class TrainCommand:
 
     model: Annotated[Positional[str], arg(metavar="MODEL")]
     """paper, paper-no-semantics, bpnpnet, bpnpnet-semantic, matcher, verifier, and for suite
-    paper-20m matchnet, deepi2p, matchnet-semantic or deepi2p-semantic."""
+    paper-20m matchnet, deepi2p, matchnet-semantic or deepi2p-semantic; for suite street-paper
+    deepi2p-pixels."""
     out: Annotated[Path, arg(metavar="DIR")]
     """Training folder: checkpoint, losses as JSON lines and as a plot."""
     samples: parsing.OptionalInt = None
@@ -281,12 +284,17 @@ class TrainCommand:
             print(json.dumps(training_summary(self.out)))
         return status
 
-    def _source(self) -> "SampleSource":
-        """Return the task's simulated samples, on KITTI's roads if given, or labelled ones."""
+    def _source(self) -> "SampleSource | None":
+        """Return the task's simulated samples, on KITTI's roads if given, or labelled ones; None
+        for its own."""
         from semviz.research.training_run import training_samples
         from semviz_core.research.training.simulated_samples import KittiFiles
 
         simulated = training_samples(self.model, self.suite)
+        if simulated is None:
+            if self.suite or self.workspace or self.kitti_poses or self.pole_maps:
+                raise SemvizError(f"{self.model} trains on its own streets; give no other samples")
+            return None
         if (self.kitti_poses is None) != (self.pole_maps is None):
             raise SemvizError("--kitti-poses and --pole-maps belong together; give both")
         if self.kitti_poses is not None and self.pole_maps is not None:

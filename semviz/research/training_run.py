@@ -348,7 +348,7 @@ def draw_training_plot(history: Sequence[dict[str, Any]], title: str, path: Path
     save_png(figure, path, dpi=110)
 
 
-TASKS = {
+TASKS: dict[str, tuple[str, simulated_samples.SimulatedSamples | None]] = {
     "paper": ("paper.training", simulated_samples.PAPER_DISTRIBUTION),
     "paper-no-semantics": ("paper.training", simulated_samples.PAPER_DISTRIBUTION),
     "bpnpnet": ("paper.training", simulated_samples.PAPER_DISTRIBUTION),
@@ -356,17 +356,19 @@ TASKS = {
     **dict.fromkeys(
         POINT_MODELS, ("point_matching.training", simulated_samples.PAPER_20M_DISTRIBUTION)
     ),
+    "deepi2p-pixels": ("point_matching.pixel_training", None),
     "matcher": ("pair_matcher.training", simulated_samples.LEARNED_DISTRIBUTION),
     "verifier": ("training.verifier", simulated_samples.HARD_DISTRIBUTION),
 }
-"""Name -> module of ``semviz_core.research`` with ``make_task(name, source)``, default samples."""
+"""Name -> module of ``semviz_core.research`` with ``make_task(name, source)``, default samples;
+None if it trains on samples of its own alone."""
 
 SUITES = {"paper-20m": simulated_samples.PAPER_20M_DISTRIBUTION}
 """Suites of the benchmark with samples of their own."""
 
 
-def training_samples(name: str, suite: str | None) -> simulated_samples.SimulatedSamples:
-    """Return a task's samples of ``suite``, or its default ones.
+def training_samples(name: str, suite: str | None) -> simulated_samples.SimulatedSamples | None:
+    """Return a task's samples of ``suite``, or its default ones; None if it has its own alone.
 
     Raise SemvizError for an unknown name.
     """

@@ -20,6 +20,7 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.metrics.pose_errors import Outcome, ProblemFacts
 from semviz_core.research.evaluation.methods import Method
 from semviz_core.research.evaluation.outcomes import rows
+from semviz_core.research.point_matching import pixel_methods
 
 QUICK = ("--methods", "true matches,bound", "--noise", "low", "--no-plots", "--json")
 KEYS = {
@@ -285,14 +286,36 @@ def test_printed_figures_are_whole() -> None:
 
 
 def test_the_papers_table_has_methods_that_there_are() -> None:
-    assert set(report.METHODS) <= set(KNOWN["single"])
-    assert {row.method for row in report.PRINTED if row.method} <= set(report.METHODS)
+    methods = set(report.methods_of_table([SUITES["street-paper"]]))
+    assert methods <= set(KNOWN["single"])
+    assert {row.method for row in report.PRINTED if row.method} <= methods
+    of_elements = set(report.methods_of_table([SUITES["paper-20m"]]))
+    assert methods - of_elements == set(pixel_methods.METHODS)
+
+
+def test_streets_answer_the_rows_from_pixels(run: Call, tmp_path: Path) -> None:
+    options = ("--frames", 1, "--noise", "paper", "--no-plots", "--out", tmp_path / "out")
+    references = "true cells,fix alone,true matches"
+    _, output, _ = run("--suite", "street-paper", *options, "--methods", references)
+    for words in ("ISS keypoints", "not re-implemented", "as DeepI2P measures"):
+        assert words in " ".join(output.split())
+    row = next(line for line in output.splitlines() if line.startswith("true cells"))
+    assert " 1/1 " in row
+    status, _, error_output = run(
+        "--suite", "street-paper", *options, "--kitti-poses", tmp_path, "--pole-maps", tmp_path
+    )
+    assert status == 2
+    assert "omit --kitti-poses" in error_output
+    _, _, error_output = run("--suite", "frames", *options, "--methods", "true cells,bound")
+    assert "true cells is left out: it needs pictures" in error_output
 
 
 def test_all_suites_hold_no_problem_twice() -> None:
     assert "paper" not in {suite.name for suite in choose_suites("all")}
     assert [suite.name for suite in choose_suites("paper")] == ["paper"]
-    assert {suite.name for suite in choose_suites("all,paper")} >= set(report.PAPER_SUITES)
+    assert {suite.name for suite in choose_suites("all,paper,street-paper")} >= set(
+        report.PAPER_SUITES
+    )
 
 
 def test_results_of_other_weights_are_not_mixed(
@@ -308,7 +331,7 @@ def test_results_of_other_weights_are_not_mixed(
     assert len(digests) == 3
 
 
-@pytest.mark.parametrize("suite", ["frames", "paper", "paper-20m"])
+@pytest.mark.parametrize("suite", ["frames", "paper", "paper-20m", "street-paper"])
 def test_tables_fit_a_terminal(suite: str) -> None:
     longest = max((name for named in KNOWN.values() for name in named), key=len)
     text = BenchmarkReport({"seed": 1000}, (), tuple(rows([fake(longest, suite)]))).as_text()

@@ -112,6 +112,7 @@ def test_another_model_in_the_same_folder_is_refused(train: Call, tmp_path: Path
         (("paper", "--batch", "0"), "--batch 0: give 1 to 1000"),
         (("paper", "--kitti-poses", "poses"), "give both"),
         (("paper", "--suite", "paper-20m", "--workspace", "w"), "give one of them"),
+        (("deepi2p-pixels", "--suite", "paper-20m"), "trains on its own streets"),
     ],
 )
 def test_what_makes_no_sense_is_one_line(

@@ -21,7 +21,7 @@ from semviz_core.research.point_matching.methods import (
     POINT_MODELS,
     PointMethod,
     TruePoints,
-    epnp_ransac,
+    pose_of_pairs,
 )
 from semviz_core.research.point_matching.networks import (
     level_bearings,
@@ -96,7 +96,7 @@ def test_a_pose_or_why_there_is_none(
 ) -> None:
     sample = exact_sample(pose, POINTS_M, samples[0])
     pairs = np.tile(np.arange(count)[:, None], (1, 2))
-    found = epnp_ransac(sample, CAMERA, pairs)
+    found = pose_of_pairs(sample, CAMERA, pairs)
     if isinstance(found, str):
         assert said
         assert said in found
@@ -107,7 +107,7 @@ def test_a_pose_or_why_there_is_none(
 def test_wrong_pairs_give_no_pose(samples: list[Sample]) -> None:
     sample = exact_sample(AHEAD, POINTS_M, samples[0])
     wrong = np.column_stack([np.arange(6), [3, 5, 1, 0, 2, 4]])
-    assert isinstance(epnp_ransac(sample, CAMERA, wrong), str)
+    assert isinstance(pose_of_pairs(sample, CAMERA, wrong), str)
 
 
 @pytest.mark.parametrize("name", POINT_MODELS)
@@ -146,7 +146,7 @@ def test_a_frame_without_elements_has_no_match(samples: list[Sample], name: str)
     blind = replace(samples[0], **{part: getattr(samples[0], part)[:0] for part in seen})
     pairs = network.pairs_of(blind)
     assert pairs.shape == (0, 2)
-    assert "0 points are matched" in str(epnp_ransac(blind, CAMERA, pairs))
+    assert "0 points are matched" in str(pose_of_pairs(blind, CAMERA, pairs))
 
 
 def test_bearings_are_level(samples: list[Sample]) -> None:

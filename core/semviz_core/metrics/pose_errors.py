@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
 from semviz_core.base.camera import Camera
@@ -145,6 +146,10 @@ class Outcome:
     """Time of the first call in the process, on another frame; it compiles and loads."""
     timed_alone: bool = True
     """False if other processes of the benchmark ran at the same time."""
+    translation_m: float | None = None
+    """As DeepI2P measures: the distance of the translations of T_camera_map, about the fix."""
+    euler_deg: float | None = None
+    """As DeepI2P measures: the sum of the absolute Euler angles between both rotations."""
 
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> "Outcome":
@@ -169,6 +174,21 @@ def pose_error(T_est_camera_map: Pose, T_true_camera_map: Pose) -> tuple[float, 
     centers = [pose.inverse().translation for pose in (T_est_camera_map, T_true_camera_map)]
     angle = angle_between(T_est_camera_map.rotation, T_true_camera_map.rotation)
     return float(np.linalg.norm(centers[0] - centers[1])), float(np.rad2deg(angle))
+
+
+def published_error(
+    T_est_camera_map: Pose, T_true_camera_map: Pose, origin_m: FloatArray
+) -> tuple[float, float]:
+    """Return the errors by the published code of DeepI2P, with the map's origin at ``origin_m``.
+
+    They are no smaller than those of ``pose_error`` where the rotation is wrong: translations then
+    differ although the camera is in its place.
+    """
+    both = T_est_camera_map, T_true_camera_map
+    estimated, true = (pose.apply(origin_m) for pose in both)
+    turn = T_est_camera_map.rotation.T @ T_true_camera_map.rotation
+    angles = Rotation.from_matrix(turn).as_euler("xzy", degrees=True)
+    return float(np.linalg.norm(estimated - true)), float(np.abs(angles).sum())
 
 
 def visible_rows(submap: Elements3D, T_camera_map: Pose, camera: Camera) -> IntArray:

@@ -208,6 +208,15 @@ def lay_out_street(seed: int, options: StreetOptions) -> Layout:
     return replace(layout, signs=tuple(worn(sign, wear) for sign in layout.signs))
 
 
+def with_other_cars(layout: Layout, options: StreetOptions, seed: int) -> Layout:
+    """Return the same street on another day: with other parked cars."""
+    builder = _Builder(layout.road, np.random.default_rng([seed, 6]))
+    for kind, begin, end in _stretches(options):
+        for side in (-1, 1):
+            builder.park_cars(kind, side, begin, end)
+    return replace(layout, cars=tuple(builder.cars))
+
+
 def _stretches(options: StreetOptions) -> list[tuple[objects.SectionKind, float, float]]:
     """Return (kind, begin, end) along the road; first and last reach to the street's ends."""
     ends = np.cumsum([section.length_m for section in options.sections])

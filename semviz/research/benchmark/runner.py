@@ -31,7 +31,6 @@ from semviz.research.benchmark.suites import (
     Suite,
     make_method,
 )
-from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.metrics.pose_errors import Outcome, ProblemFacts
@@ -41,8 +40,9 @@ from semviz_core.research.evaluation.methods import (
     MethodResult,
     bound_covariance,
 )
-from semviz_core.research.evaluation.outcomes import errors, facts_of
+from semviz_core.research.evaluation.outcomes import errors, facts_of, published_errors
 from semviz_core.research.evaluation.problems import LocalizationProblem
+from semviz_core.research.evaluation.sequences import SequenceFrame
 
 TUNING_SEEDS = 1000
 """Seeds below are for tuning; reported figures come from the others."""
@@ -69,6 +69,11 @@ class BenchmarkPlan:
     methods: dict[Kind, tuple[str, ...]]
     seeds: range
     roads: Roads
+
+    def __post_init__(self) -> None:
+        for suite in self.suites:
+            if suite.has_pictures and self.roads.poses is not None:
+                raise SemvizError(f"suite {suite.name} has its own streets: omit --kitti-poses")
 
     def outcomes(self) -> list[Key]:
         """Return the keys of all outcomes in the order of the tables: method by method."""
@@ -218,8 +223,10 @@ class Results:
 
 FEW = 10
 """Frames to warm up with."""
-TimedResult = tuple[str, int, ProblemFacts, Pose, MethodResult, float]
-"""Method, frame, its facts, its true T_camera_map, the result and its wall time (ms)."""
+TimedResult = tuple[
+    str, int, ProblemFacts, LocalizationProblem | SequenceFrame, MethodResult, float
+]
+"""Method, frame, its facts, the problem with its truth, the result and its wall time (ms)."""
 
 
 def complete(plan: BenchmarkPlan, path: Path, jobs: int) -> list[Outcome]:
@@ -263,10 +270,11 @@ def run_task(task: BenchmarkJob, roads: Roads, timed_alone: bool) -> list[Outcom
     return [
         Outcome(
             task.suite.name, name, task.noise, seed, facts,
-            result.status, *errors(result, truth),
+            result.status, *errors(result, problem.T_camera_map),
             total_ms, result.time_ms, _first_call_ms(task.suite, name, roads), timed_alone,
+            *published_errors(result, problem.T_camera_map, problem.prior.position_m),
         )
-        for name, seed, facts, truth, result, total_ms in solve(task, roads)
+        for name, seed, facts, problem, result, total_ms in solve(task, roads)
     ]  # fmt: skip
 
 
@@ -278,7 +286,7 @@ def _solve_frame(task: BenchmarkJob, roads: Roads) -> Iterator[TimedResult]:
         method = make_method(task.suite, name)
         facts = facts_of(problem, _bound(task.suite, method, problem))
         _first_call_ms(task.suite, name, roads)  # so that the next one is warm
-        yield name, seed, facts, problem.T_camera_map, *_timed(partial(method.solve, task_problem))
+        yield name, seed, facts, problem, *_timed(partial(method.solve, task_problem))
 
 
 def _bound(suite: Suite, method: Any, problem: LocalizationProblem) -> FloatArray | None:
@@ -295,7 +303,7 @@ def _solve_sequence(task: BenchmarkJob, roads: Roads) -> Iterator[TimedResult]:
         results = make_method(task.suite, name).solve(sequence)
         for seed, frame in zip(task.seeds, sequence.frames, strict=True):
             facts = ProblemFacts(detections=len(frame.observed))
-            yield name, seed, facts, frame.T_camera_map, *_timed(partial(next, results))
+            yield name, seed, facts, frame, *_timed(partial(next, results))
 
 
 def _timed(action: Callable[[], MethodResult]) -> tuple[MethodResult, float]:

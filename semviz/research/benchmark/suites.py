@@ -19,9 +19,11 @@ from semviz_core.localization.localizer import EFFORTS
 from semviz_core.research.evaluation import baselines, methods, problems, sequences
 from semviz_core.research.evaluation.methods import MatchedProblem, make_matched_problem
 from semviz_core.research.evaluation.roads import BenchmarkRoad, kitti_road, simulated_road
+from semviz_core.research.evaluation.street_frames import street_problem
 from semviz_core.research.paper import true_costs
 from semviz_core.research.paper.matcher import MODELS
 from semviz_core.research.point_matching import methods as point_methods
+from semviz_core.research.point_matching import pixel_methods
 from semviz_core.research.point_matching.methods import POINT_MODELS, load_point_method
 
 Kind = Literal["single", "matched", "sequence"]
@@ -31,6 +33,7 @@ _SINGLE = {
     **point_methods.METHODS,
     **baselines.METHODS,
     **true_costs.METHODS,
+    **pixel_methods.METHODS,
 }
 _FIRST = [name for name in (*EFFORTS, *MODELS, *POINT_MODELS) if name in _SINGLE]
 KNOWN: dict[Kind, Mapping[str, Callable[[], Any]]] = {
@@ -80,6 +83,8 @@ def make_method(suite: "Suite", name: str) -> Any:
     Each is made once per process. Networks of the paper's table are those trained for the suite,
     if any.
     """
+    if name in pixel_methods.METHODS and not suite.has_pictures:
+        raise SemvizError("it needs pictures and scans, which only suite street-paper has")
     of_suite = suite.networks if name in MODELS or name in POINT_MODELS else ""
     return _made(suite.kind, name, of_suite)
 
@@ -89,7 +94,7 @@ def _made(kind: Kind, name: str, networks: str) -> Any:
     weights = shipped_weights(f"{name}-{networks}")
     if name in POINT_MODELS:
         if not networks:
-            raise SemvizError("its network is trained for suite paper-20m only")
+            raise SemvizError("its network is trained for submaps within 20 m only")
         return load_point_method(name, weights)
     if networks:
         return methods.LocalizerMethod(name, weights=weights)
@@ -158,6 +163,8 @@ class Suite:
     difficulty: problems.Difficulty = problems.Difficulty()  # noqa: RUF009  frozen
     networks: str = ""
     """Ending of the files with the paper's networks for it; empty: those of normal frames."""
+    has_pictures: bool = False
+    """Whether frames are of simulated streets, with a picture and a cloud."""
 
     def sequence(self, seeds: range, noise: NoiseLevel, roads: Roads) -> sequences.SequenceProblem:
         """Return as many consecutive frames as ``seeds``, starting where the first seed draws."""
@@ -175,6 +182,8 @@ class Suite:
         self, seed: int, noise: NoiseLevel, roads: Roads
     ) -> problems.LocalizationProblem | MatchedProblem:
         """Return the single-frame problem of ``seed``; its type depends on ``kind``."""
+        if self.has_pictures:
+            return street_problem(seed, noise)
         difficulty = replace(self.difficulty, noise=noise)
         make = problems.make_problem if self.kind == "single" else make_matched_problem
         return make(seed, difficulty=difficulty, road=roads.of_frame(seed))
@@ -192,6 +201,7 @@ SUITES: dict[str, Suite] = {
         Suite("frames", "single"),
         Suite("paper", "single"),
         Suite("paper-20m", "single", problems.PAPER_20M, networks="20m"),
+        Suite("street-paper", "single", problems.PAPER_20M, networks="20m", has_pictures=True),
         *(Suite(name, "single", difficulty) for name, difficulty in problems.HARD_SETS.items()),
         Suite("matched", "matched"),
         Suite("sequence", "sequence"),
@@ -199,9 +209,9 @@ SUITES: dict[str, Suite] = {
 }
 GROUPS = {
     "hard": tuple(problems.HARD_SETS),
-    "all": tuple(name for name in SUITES if name != "paper"),
+    "all": tuple(name for name in SUITES if name not in ("paper", "street-paper")),
 }
-"""``paper`` has the same problems as ``frames``."""
+"""``paper`` has the same problems as ``frames``; those of ``street-paper`` take long to make."""
 
 
 def choose_suites(text: str) -> tuple[Suite, ...]:

@@ -20,7 +20,9 @@ from semviz_core.metrics.pose_errors import (
     Outcome,
     PoseAccuracy,
     ProblemFacts,
+    Spread,
     pose_error,
+    published_error,
     visible_rows,
 )
 from semviz_core.research.evaluation.methods import MethodResult
@@ -38,6 +40,16 @@ def errors(
         return rte_m, rre_deg, None
     error = (T_camera_map @ result.T_camera_map.inverse()).log()
     return rte_m, rre_deg, float(error @ np.linalg.solve(result.covariance, error))
+
+
+def published_errors(
+    result: MethodResult, T_camera_map: Pose, origin_m: FloatArray
+) -> tuple[float, float] | tuple[None, None]:
+    """Return the errors (m, deg) as DeepI2P measures them, about ``origin_m`` (3,); None without a
+    pose."""
+    if result.T_camera_map is None:
+        return None, None
+    return published_error(result.T_camera_map, T_camera_map, origin_m)
 
 
 def facts_of(problem: LocalizationProblem, covariance: FloatArray | None) -> ProblemFacts:
@@ -124,6 +136,10 @@ class Row:
     stages_ms: dict[str, Time]
     first_call_ms: float | None
     timed_alone: bool
+    translation_m: Spread
+    """As DeepI2P measures, like the next two; see ``Outcome``."""
+    euler_deg: Spread
+    below_2m_5deg: float
 
     def as_json(self) -> dict[str, Any]:
         """Return one of the ``rows`` that ``semviz benchmark --json`` prints."""
@@ -175,6 +191,15 @@ def _row(stratum: str, outcomes: list[Outcome]) -> Row:
         stages_ms=_stages(outcomes),
         first_call_ms=max(first_ms, default=None),
         timed_alone=all(outcome.timed_alone for outcome in outcomes),
+        translation_m=_spread(outcome.translation_m for outcome in outcomes),
+        euler_deg=_spread(outcome.euler_deg for outcome in outcomes),
+        below_2m_5deg=share(
+            outcome.translation_m is not None
+            and outcome.euler_deg is not None
+            and outcome.translation_m < 2.0
+            and outcome.euler_deg < 5.0
+            for outcome in outcomes
+        ),
     )
 
 
@@ -227,6 +252,10 @@ def _stages(outcomes: list[Outcome]) -> dict[str, Time]:
         )
         for stage in order
     }
+
+
+def _spread(values: Iterable[float | None]) -> Spread:
+    return Spread.of(np.array([value for value in values if value is not None]))
 
 
 def _mean(values: Sequence[float]) -> float | None:

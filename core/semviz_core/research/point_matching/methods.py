@@ -26,14 +26,15 @@ import numpy as np
 
 from semviz_core.base.camera import Camera
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
-from semviz_core.base.pose import Pose, nearest_rotation
+from semviz_core.base.pose import Pose
 from semviz_core.base.weights import NetworkWeights, load_trained
-from semviz_core.common.arrays import IntArray
+from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.errors import require_extra
 from semviz_core.localization.correspondences.candidate_pairs import Sample
 from semviz_core.research.evaluation.methods import Method, MethodResult
 from semviz_core.research.evaluation.problems import LocalizationProblem
 from semviz_core.research.paper.matcher import split_lines
+from semviz_core.research.point_matching.epnp import epnp_ransac
 from semviz_core.research.training.simulated_samples import sample_of
 
 if TYPE_CHECKING:
@@ -57,42 +58,17 @@ POINT_MODELS = {
     "deepi2p-semantic": PointModel(descriptors=False, semantics=True),
 }
 
-LEAST_MATCHES = 4
 TRIALS, THRESHOLD_PX = 1000, 10.0
-MOST_AWAY_M = 50.0
-"""Of a pose from the local origin. DeepI2P's solver allows 14 m, from an origin without error."""
 
 
-def epnp_ransac(sample: Sample, camera: Camera, pairs: IntArray, seed: int = 0) -> Pose | str:
+def pose_of_pairs(sample: Sample, camera: Camera, pairs: IntArray) -> Pose | str:
     """Return T_camera_local by matched points, or the reason for none.
 
     ``pairs`` (k, 2) are rows of the sample's observed and mapped points.
     """
-    import cv2
-
-    if len(pairs) < LEAST_MATCHES:
-        return f"{len(pairs)} points are matched, {LEAST_MATCHES} needed."
     ray, point_m = sample.ray[pairs[:, 0]], sample.point_m[pairs[:, 1]]
     pixel = (ray / ray[:, 2:] @ camera.K.T)[:, :2]
-    cv2.setRNGSeed(seed)
-    try:
-        found, turn, translation, inliers = cv2.solvePnPRansac(
-            point_m, pixel, camera.K, None, iterationsCount=TRIALS,
-            reprojectionError=THRESHOLD_PX, flags=cv2.SOLVEPNP_EPNP,
-        )  # fmt: skip
-    except cv2.error:  # degenerate points
-        found = False
-    is_finite = found and bool(np.isfinite([turn, translation]).all())
-    if not is_finite or inliers is None or len(inliers) < LEAST_MATCHES:
-        return f"No pose brings {LEAST_MATCHES} of the {len(pairs)} matches within the threshold."
-    rotation = nearest_rotation(np.asarray(cv2.Rodrigues(turn)[0], np.float64))
-    pose = Pose(rotation, np.asarray(translation, np.float64).ravel())
-    is_ahead = (pose.apply(point_m[inliers.ravel()])[:, 2] > 0.0).all()
-    is_upright = rotation[1, 2] < 0.0  # the map's up, in camera axes
-    is_near = np.linalg.norm(pose.inverse().translation) < MOST_AWAY_M
-    if is_ahead and is_upright and is_near:
-        return pose
-    return "The pose is behind its points, upside down or far away."
+    return epnp_ransac(pixel, point_m, camera, TRIALS, THRESHOLD_PX)
 
 
 @dataclass(frozen=True)
@@ -109,9 +85,9 @@ class PointMethod:
         sample = split_lines(Sample.of(*frame, self.classes))
         pairs = self.network.pairs_of(sample)
         matched = perf_counter()
-        pose = epnp_ransac(sample, problem.camera, pairs)
+        pose = pose_of_pairs(sample, problem.camera, pairs)
         time_ms = {"match": (matched - start) * 1e3, "pnp": (perf_counter() - matched) * 1e3}
-        return _result(pose, sample, time_ms)
+        return result_of(pose, sample.origin_m, time_ms)
 
 
 @dataclass(frozen=True)
@@ -125,15 +101,18 @@ class TruePoints:
         assert sample.truth is not None
         pairs = np.argwhere(sample.truth.pairs & sample.seen_known[:, :1])
         start = perf_counter()
-        pose = epnp_ransac(sample, problem.camera, pairs)
-        return _result(pose, sample, {"pnp": (perf_counter() - start) * 1e3})
+        pose = pose_of_pairs(sample, problem.camera, pairs)
+        return result_of(pose, sample.origin_m, {"pnp": (perf_counter() - start) * 1e3})
 
 
-def _result(pose: Pose | str, sample: Sample, time_ms: dict[str, float]) -> MethodResult:
+def result_of(
+    pose: Pose | str, origin_m: FloatArray, time_ms: dict[str, float], solver: str = "EPnP"
+) -> MethodResult:
+    """Return the result of a pose T_camera_local about ``origin_m`` (3,), or of a reason."""
     if isinstance(pose, str):
         return MethodResult(None, None, "cannot", pose, time_ms)
-    in_map = Pose(pose.rotation, pose.translation - pose.rotation @ sample.origin_m)
-    return MethodResult(in_map, None, "ok", "EPnP found a pose.", time_ms)
+    in_map = Pose(pose.rotation, pose.translation - pose.rotation @ origin_m)
+    return MethodResult(in_map, None, "ok", f"{solver} found a pose.", time_ms)
 
 
 def load_point_method(

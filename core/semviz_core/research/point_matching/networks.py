@@ -86,7 +86,7 @@ def heights_m(batch: Batch) -> Tensor:
     return batch.point_m[..., 2] - batch.road[:, :1] - (batch.point_m[..., :2] * slopes).sum(dim=2)
 
 
-def _layers(*widths: int) -> nn.Sequential:
+def layers(*widths: int) -> nn.Sequential:
     """Return linear layers, each normalized and with a ReLU."""
     steps: list[nn.Module] = []
     for inputs, outputs in pairwise(widths):
@@ -108,13 +108,13 @@ class PointNet(nn.Module):
         super().__init__()
         self.turned = turned
         if turned:
-            self.turn_points = _layers(3, 64, 128, 256)
-            hidden, last = _layers(256, 128), nn.Linear(128, 9)
+            self.turn_points = layers(3, 64, 128, 256)
+            hidden, last = layers(256, 128), nn.Linear(128, 9)
             nn.init.zeros_(last.weight)  # begins with the identity
             nn.init.zeros_(last.bias)
             self.turn = nn.Sequential(hidden, last)
-        self.points = _layers(inputs, 64, 64, 64, 128, 256)
-        self.set = nn.Sequential(_layers(256, DESCRIPTOR), nn.Linear(DESCRIPTOR, DESCRIPTOR))
+        self.points = layers(inputs, 64, 64, 64, 128, 256)
+        self.set = nn.Sequential(layers(256, DESCRIPTOR), nn.Linear(DESCRIPTOR, DESCRIPTOR))
 
     def forward(self, points: Tensor, owner: Tensor, owners: int) -> Tensor:
         """Return (owners, DESCRIPTOR) of points (k, inputs), whose first three may be turned."""
@@ -196,12 +196,12 @@ class DeepI2P(PointNetwork):
 
     def __init__(self, model: PointModel, classes: int) -> None:
         super().__init__(model, classes)
-        self.points = _layers(4 + self.classes, 32, 32, 32)
-        self.nodes = _layers(64, 64, 64)
-        self.cloud = _layers(3 + 64, 128, 256)
-        self.seen = _layers(3 + self.classes, 64, 64, DESCRIPTOR)
+        self.points = layers(4 + self.classes, 32, 32, 32)
+        self.nodes = layers(64, 64, 64)
+        self.cloud = layers(3 + 64, 128, 256)
+        self.seen = layers(3 + self.classes, 64, 64, DESCRIPTOR)
         self.query = nn.Linear(64 + DESCRIPTOR, DESCRIPTOR)
-        self.head = _layers(64 + 32 + 256 + 2 * DESCRIPTOR, 256, 256)
+        self.head = layers(64 + 32 + 256 + 2 * DESCRIPTOR, 256, 256)
         self.inside = nn.Linear(256, 2)
         self.place = nn.Linear(256, DESCRIPTOR)
         self.key = nn.Linear(DESCRIPTOR, DESCRIPTOR)
