@@ -3,6 +3,7 @@
     python bench/merged_drives.py
     python bench/merged_drives.py --kitti-poses /data/kitti/poses --pole-maps /data/pole_maps
     python bench/merged_drives.py --streets 40 41 42 43
+    python bench/merged_drives.py --picture docs/images/merged-drives.png
 
 Drives are simulated without images (``tests/toy_city.py``). *Twice* are landmarks that
 several drives map and that stand in the map more than once; *merged* are landmarks of the map
@@ -23,6 +24,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from toy_city import CityDrive, Drift
 
+from semviz.reports.merged_drives import draw_merging
 from semviz_annotation.labels.detections import as_proposals
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.proposal import ProcessedImages
@@ -63,11 +65,18 @@ class Options:
     kitti_poses: Path | None = None
     """Also drives along KITTI 00, beside its surveyed poles."""
     pole_maps: Path | None = None
+    picture: Path | None = None
+    """Instead, draw how seven drives of a small city are moved to this PNG file."""
     streets: tuple[int, ...] = ()
     """Instead, streets with these seeds, each driven four times and mapped from detections."""
 
 
 def main(options: Options) -> None:
+    if options.picture is not None:
+        _, drives = city(replace(options, blocks=2, length_m=700.0), 7, Drift(0.4))
+        merging = merge_elements([one.semantic_map for one in drives])
+        draw_merging(merging, [f"drive {number}" for number in range(1, 8)], options.picture)
+        return
     if options.streets:
         for seed in options.streets:
             print(street_row(seed, options))
@@ -115,7 +124,7 @@ def street_row(seed: int, options: Options) -> str:
     street = Street(seed, StreetOptions(60))
     drift = replace(Drift(), sigma_m=options.sigma_m[0])
     maps = {f"{drive}": detected_map(street, drive, drift) for drive in range(4)}
-    merged, _ = merge_maps(maps, MergeOptions(PoseErrors(options.stated_m)))
+    merged = merge_maps(maps, MergeOptions(PoseErrors(options.stated_m))).semantic_map
     truth = street.truth_map.elements
     counts = Counter(nearest(truth, merged.elements))
     single = [len(set(nearest(truth, one.elements)) - {-1}) for one in maps.values()]

@@ -69,6 +69,7 @@ BY_COMMANDS = {
     "detector-calibration.png": "bench/subpixel.py --planted --plot",
     "diagnosis-reliability.png": "bench/diagnosis_reliability.py --picture",
     "localizability-check.png": "bench/localizability.py --plot",
+    "merged-drives.png": "bench/merged_drives.py --picture",
 }
 """Plots of long measurements, by the command that the page beside them names."""
 RERUN_PORT = 19_876

@@ -38,6 +38,9 @@ class MapMergeCommand:
     """Error of each drive's poses, in each direction."""
     pose_sigma_deg: float = 0.5
     """Error of each drive's heading."""
+    plot: parsing.OptionalPath = None
+    """Also write a picture of how each drive was moved to this PNG file."""
+    force: parsing.Force = False
     replace: bool = False
     """Replace an existing map of this name."""
     json: bool = False
@@ -45,6 +48,8 @@ class MapMergeCommand:
 
     def run(self) -> int:
         from semviz.presentation.terminal import Steps
+        from semviz.reports.merged_drives import draw_merging
+        from semviz.workspace.outputs import PNG, check_outputs
         from semviz_annotation.mapping.drives.corrections import PoseErrors
         from semviz_annotation.mapping.drives.merge import MergeOptions
         from semviz_annotation.mapping.drives.merged_map import merge_maps
@@ -55,17 +60,22 @@ class MapMergeCommand:
             raise SemvizError(f"--write {self.write} is a map to merge; choose another name")
         workspace = parsing.open_workspace(self.workspace)
         path = parsing.path_of_new_map(workspace, self.write, replace=self.replace)
+        if self.plot is not None:
+            reads = [self.workspace, *self.others]
+            check_outputs(self.plot, PNG, force=self.force, reads=reads)
         maps = self._maps(workspace)
         with Steps() as steps:
             fixed = (0,) if self.keep_first else ()
-            merged, report = merge_maps(maps, MergeOptions(errors, fixed), steps.show)
-        save_map(merged, path)
+            merged = merge_maps(maps, MergeOptions(errors, fixed), steps.show)
+        save_map(merged.semantic_map, path)
+        if self.plot is not None:
+            draw_merging(merged.merging, list(maps), self.plot)
         if self.json:
-            print(json.dumps({"map": str(path), **report.as_dict()}))
+            print(json.dumps({"map": str(path), **merged.report.as_dict()}))
             return 0
-        for line in report.lines():
+        for line in merged.report.lines():
             print(line)
-        print(f"{path}: {len(merged)} elements")
+        print(f"{path}: {len(merged.semantic_map)} elements")
         return 0
 
     def _maps(self, workspace: "Workspace") -> "dict[str, SemanticMap]":

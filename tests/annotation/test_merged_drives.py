@@ -97,7 +97,7 @@ def test_a_drive_that_is_only_shifted_is_put_back_exactly(drives: list[CityDrive
     first = drives[0].semantic_map
     elements = first.elements
     shifted = moved(first, [0.7, -0.4, 0.2])
-    merged, report = merge_maps(
+    merged, report, _ = merge_maps(
         {"still": first, "shifted": shifted}, MergeOptions(PoseErrors(2.0), fixed=(0,))
     )
     assert len(merged) == len(first)
@@ -129,7 +129,7 @@ def test_ids_of_the_first_map_and_all_origins_stay(maps: dict[str, SemanticMap])
         )
         for name, one in maps.items()
     }
-    merged, report = merge_maps(given)
+    merged, report, _ = merge_maps(given)
     assert set(given["drive 0"].elements.id.tolist()) <= set(merged.elements.id.tolist())
     labels = [label for origin in merged.provenance for label in origin.label_ids]
     assert len(labels) == len(set(labels)) == sum(len(one) for one in maps.values())
@@ -142,7 +142,7 @@ def test_ids_of_the_first_map_and_all_origins_stay(maps: dict[str, SemanticMap])
 def test_a_drive_elsewhere_stays_and_is_named(maps: dict[str, SemanticMap]) -> None:
     first = maps["drive 0"]
     far = moved(first, [5000.0, 0.0, 0.0])
-    merged, report = merge_maps({"here": first, "there": far})
+    merged, report, _ = merge_maps({"here": first, "there": far})
     assert len(merged) == 2 * len(first)
     assert "there: " in str(report.drives[1])
     assert "none of them in another drive" in str(report.drives[1])
@@ -164,7 +164,7 @@ def test_maps_with_places_on_earth_are_brought_into_one_frame(
     east = MapFrame("june", (49.0, 8.4 + 100.0 / 73_150.0, 110.0))  # 100 m to the east, nearly
     first = replace(maps["drive 0"], frame=origin)
     other = replace(moved(first, [-100.0, 0.0, 0.0]), frame=east)
-    merged, _ = merge_maps({"may": first, "june": other})
+    merged, _, _ = merge_maps({"may": first, "june": other})
     assert merged.frame == origin
     assert len(merged) == len(first)
 

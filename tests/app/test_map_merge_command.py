@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import call
+from labelled_kitti import FRAMES, LABELS
 
 from semviz.workspace.workspace import Workspace
+from semviz_annotation.storage.backup import import_operations
 from semviz_core.base.map_file import load_map, save_map
 
 
@@ -32,8 +34,11 @@ def drives(tmp_path: Path) -> tuple[Path, Path]:
 def test_two_drives_become_one_map(
     drives: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    status, output, _ = call(capsys, "map", "merge", *drives, "--write", "town", "--keep-first")
+    plot = drives[0].parent / "moved.png"
+    arguments = (*drives, "--write", "town", "--keep-first", "--plot", plot)
+    status, output, _ = call(capsys, "map", "merge", *arguments)
     assert status == 0
+    assert plot.read_bytes().startswith(b"\x89PNG")
     assert "may: " in output
     assert "moved by 0.58 m" in output.splitlines()[1]
     merged, first = (load_map(drives[0] / "maps" / f"{name}.parquet") for name in ("town", "main"))
@@ -70,3 +75,25 @@ def test_no_map_is_lost(drives: tuple[Path, Path], capsys: pytest.CaptureFixture
         assert errors.count("\n") == 1
     assert [file.read_bytes() for file in files] == before
     assert not (drives[0] / "maps" / "town.parquet").exists()
+
+
+def test_elements_of_real_labels_are_found_again(
+    kitti_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two stretches of KITTI 02 share labels, so elements with one number are one landmark."""
+    workspace = Workspace.create_kitti(tmp_path / "town", kitti_root, "02", (2, 3), FRAMES)
+    with workspace.open_labels() as store:
+        import_operations(LABELS, store)
+    for name, frames in (("first", "0:12"), ("second", "8:20")):
+        assert (
+            call(capsys, "map", "build", workspace.path, "--frames", frames, "--name", name)[0] == 0
+        )
+    second = workspace.map_path("second")
+    arguments = ("map", "merge", workspace.path, second, "--map", "first", "--write", "both")
+    assert call(capsys, *arguments)[0] == 0
+    ids = [set(workspace.read_map(name).elements.id.tolist()) for name in ("first", "second")]
+    merged = workspace.read_map("both")
+    labels = [origin.label_ids for origin in merged.provenance]
+    assert len(ids[0] & ids[1]) == 30
+    assert sum(len(each) == 2 for each in labels) == 30
+    assert all(len(set(each)) == 1 for each in labels), "two label elements in one landmark"

@@ -77,6 +77,9 @@ OUTPUTS: dict[str, dict[str, list[Output]]] = {
     "map localizability": {
         "plot": [Output("W --map truth --frames 0:1 --plot TARGET.png", is_cheap=False)]
     },
+    "map merge": {
+        "plot": [Output("W OTHER --write both --map truth --replace --plot TARGET.png", "", False)]
+    },
     "poses check": {"plot": [Output("W --plot TARGET.png", is_cheap=False)]},
     "poses refine": {
         "out": [Output("W --out TARGET", is_cheap=False, again=False)],
@@ -209,6 +212,7 @@ def test_every_path_of_every_command_is_listed_as_read_or_written() -> None:
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a workspace W, a run RUN and a training TRAINING."""
     folder = tmp_path_factory.mktemp("home")
+    Workspace.create_street(folder / "OTHER", 7, range(4))
     with Workspace.create_street(folder / "W", 7, range(4)).open_labels():
         pass
     (folder / "POSES").write_text("0 0 0 1.6 -0.5 0.5 -0.5 0.5\n")
@@ -281,6 +285,7 @@ def arguments_of(name: str, output: Output, target: Path, home: Path) -> list[st
     known = {
         "TARGET": target,
         "W": home / "W",
+        "OTHER": home / "OTHER",
         "POSES": home / "POSES",
         "RUN": home / "RUN.rrd",
         "TRAINING": home / "TRAINING",

@@ -24,6 +24,7 @@ ROUNDS = (1.0, 0.5, 0.3)
 """Share of the poses' errors that is left before each round."""
 FIRST_SCATTER = 0.15
 """Share of the poses' errors by which elements scatter, before it is known."""
+_LEAST_M2 = 0.01**2
 CHANCE = 1e-5
 """Probability that an element is taken out of its landmark by chance."""
 OnProgress = Callable[[str, int, int], None]
@@ -59,13 +60,16 @@ class Stack:
     """(n,) number of the map"""
     id: IntArray
     """(n,) in its own map"""
-    variance_m2: FloatArray
-    """(n,) of the footprint, mean of both directions"""
+    on_ground_m2: FloatArray
+    """(n, 3, 3) covariance of the middle, and of the anchor's height"""
 
     @classmethod
     def of(cls, maps: Sequence[SemanticMap]) -> "Stack":
         parts = [one.elements for one in maps]
         footprints = np.concatenate([footprint_covariance_m2(part) for part in parts])
+        heights_m2 = np.concatenate([part.covariance_m2[:, 2, 2] for part in parts])
+        footprints[:, range(3), range(3)] += _LEAST_M2
+        footprints[:, 2, 2] = heights_m2 + _LEAST_M2
         return cls(
             np.concatenate([np.hstack([part.anchor_m, part.end_m]) for part in parts]),
             np.concatenate([part.covariance_m2 for part in parts]),
@@ -74,8 +78,13 @@ class Stack:
             np.concatenate([part.class_id for part in parts]),
             np.repeat(np.arange(len(maps)), [len(part) for part in parts]),
             np.concatenate([part.id for part in parts]),
-            np.trace(footprints[:, :2, :2], axis1=1, axis2=2) / 2.0,
+            footprints,
         )
+
+    @property
+    def variances_m2(self) -> FloatArray:
+        """(n,) of the middle on the ground, mean of both directions"""
+        return np.asarray(np.trace(self.on_ground_m2[:, :2, :2], axis1=1, axis2=2) / 2.0)
 
     def information(self, scatter_m: float) -> FloatArray:
         """Return that (n, 6, 6) of the elements, which scatter beyond their covariance."""
@@ -85,7 +94,8 @@ class Stack:
         """Return the elements at ``ends_m`` (n, 6) on the ground."""
         anchor, end = ends_m[:, :3], ends_m[:, 3:]
         middle = np.where(self.is_line[:, None], (anchor + end) / 2.0, anchor)
-        return Places(middle, self.variance_m2, anchor[:, 2], self.kind, self.drive)
+        middle[:, 2] = anchor[:, 2]
+        return Places(middle, self.on_ground_m2, self.is_line, self.kind, self.drive)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +135,7 @@ def merge_elements(
         information = stack.information(scatter_m)
         alignment = align(stack.ends_m, information, design, prior, landmark)
         ends_m = alignment.ends_m
-        scatter_m = alignment.scatter_m(landmark, stack.variance_m2)
+        scatter_m = alignment.scatter_m(landmark, stack.variances_m2)
     information = stack.information(scatter_m)
     landmark = _without_misfits(landmark, alignment.chi2(information, landmark), stack.is_line)
     on_progress("aligning drives", len(ROUNDS), len(ROUNDS))

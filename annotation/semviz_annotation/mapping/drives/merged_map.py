@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -84,11 +84,19 @@ class MergeReport:
             )
 
 
+class MergedDrives(NamedTuple):
+    """One map of several drives."""
+
+    semantic_map: SemanticMap
+    report: MergeReport
+    merging: Merging
+
+
 def merge_maps(
     maps: Mapping[str, SemanticMap],
     options: MergeOptions = DEFAULT_OPTIONS,
     on_progress: OnProgress = lambda what, done, of: None,
-) -> tuple[SemanticMap, MergeReport]:
+) -> MergedDrives:
     """Return the map of all drives, in the frame of the first one, and what was merged.
 
     Landmarks of the first map keep their ids; others get the numbers after these, in the order of
@@ -98,7 +106,7 @@ def merge_maps(
     names = list(maps)
     given = _alike(maps)
     merging = merge_elements(given, options, on_progress)
-    return _merged(given, merging), _report(names, merging, options)
+    return MergedDrives(_merged(given, merging), _report(names, merging, options), merging)
 
 
 def in_frame(semantic_map: SemanticMap, frame: MapFrame, name: str) -> SemanticMap:

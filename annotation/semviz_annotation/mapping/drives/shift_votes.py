@@ -25,19 +25,21 @@ _MARGIN = 1.0
 """By this many elements the support of a pair exceeds that of its rivals."""
 _KERNEL_SIGMAS = 2.0
 """Shifts that differ by one sigma count for 0.9 of an element, by four for 0.1."""
+_ENDS_APART_M = 4.0
+"""Two drives may see this much more or less of a pole's top."""
 _KINDS_APART_M = 1e6
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Elements of several drives, on the ground."""
+    """Elements of several drives: where they stand, and how high they are."""
 
     position_m: FloatArray
-    """(n, 3) footprints: of a sign its centre, of a pole its middle at height 0."""
-    variance_m2: FloatArray
-    """(n,) mean of both horizontal directions."""
-    height_m: FloatArray
-    """(n,) of the anchor."""
+    """(n, 3) centre of a sign, middle of a pole, and the height of the anchor."""
+    covariance_m2: FloatArray
+    """(n, 3, 3)"""
+    is_line: BoolArray
+    """(n,) whether it is a pole, whose height is that of the last visible point."""
     kind: IntArray
     """(n,) class."""
     drive: IntArray
@@ -75,16 +77,21 @@ def _near(places: Places, sigma_m: float) -> Pairs:
     from scipy.spatial import cKDTree
 
     points = np.column_stack([places.position_m[:, :2], places.kind * _KINDS_APART_M])
-    widest_m = _GATE_SIGMAS * np.sqrt(2.0 * (sigma_m**2 + places.variance_m2.max()))
-    first, second = cKDTree(points).query_pairs(widest_m, output_type="ndarray").T
+    widest_m2 = np.trace(places.covariance_m2[:, :2, :2], axis1=1, axis2=2)
+    reach_m = _GATE_SIGMAS * np.sqrt(2.0 * (sigma_m**2 + widest_m2))
+    found = cKDTree(points).query_ball_point(points, reach_m)
+    first = np.repeat(np.arange(len(points)), [len(rows) for rows in found])
+    second = np.concatenate([np.asarray(rows, np.int64) for rows in found])
     swap = places.drive[first] > places.drive[second]
-    first, second = np.where(swap, second, first), np.where(swap, first, second)
-    apart_m = points[first, :2] - points[second, :2]
-    variance_m2 = places.variance_m2[first] + places.variance_m2[second]
-    gate_m = _GATE_SIGMAS * np.sqrt(2.0 * sigma_m**2 + variance_m2)
-    near = np.linalg.norm(apart_m, axis=1) <= gate_m
-    near &= np.abs(places.height_m[first] - places.height_m[second]) <= 2.0 * gate_m
-    near &= places.drive[first] != places.drive[second]
+    both = np.stack([np.where(swap, second, first), np.where(swap, first, second)])
+    first, second = np.unique(both[:, places.drive[first] != places.drive[second]], axis=1)
+    apart_m = places.position_m[first] - places.position_m[second]
+    covariance_m2 = places.covariance_m2[first] + places.covariance_m2[second]
+    covariance_m2 = covariance_m2 + 2.0 * sigma_m**2 * np.eye(3)
+    near = _squared_on_ground(apart_m, covariance_m2) <= _GATE_SIGMAS**2
+    gate_m = _GATE_SIGMAS * np.sqrt(covariance_m2[:, 2, 2])
+    visible_m = np.where(places.is_line[first], _ENDS_APART_M, 0.0)
+    near &= np.abs(apart_m[:, 2]) <= gate_m + visible_m
     return Pairs(first[near], second[near], np.zeros(int(near.sum())))
 
 
@@ -110,19 +117,29 @@ def _believed(places: Places, pairs: Pairs, sigma_m: float) -> Pairs:
 def _support(places: Places, pairs: Pairs, sigma_m: float) -> tuple[FloatArray, FloatArray]:
     """Return how many elements around each pair (p,) are shifted alike, itself included, and how
     many there are."""
-    at_m = places.position_m[pairs.first, :2]
-    shift_m = places.position_m[pairs.second, :2] - at_m
-    variance_m2 = places.variance_m2[pairs.first] + places.variance_m2[pairs.second]
-    away_m = np.linalg.norm(at_m[:, None] - at_m, axis=2)
+    at_m = places.position_m[pairs.first]
+    shift_m = places.position_m[pairs.second] - at_m
+    covariance_m2 = places.covariance_m2[pairs.first] + places.covariance_m2[pairs.second]
+    away_m = np.linalg.norm(at_m[:, None, :2] - at_m[:, :2], axis=2)
     change_m2 = 4.0 * sigma_m**2 * (1.0 - np.exp(-away_m / CORRELATION_M))
-    off_m2 = ((shift_m[:, None] - shift_m) ** 2).sum(axis=2)
+    allowed_m2 = covariance_m2[:, None] + covariance_m2 + change_m2[..., None, None] * np.eye(3)
+    off_m = shift_m[:, None] - shift_m
+    squared = _squared_on_ground(off_m, allowed_m2)
+    is_point = ~places.is_line[pairs.first]
+    squared += (is_point[:, None] & is_point) * off_m[..., 2] ** 2 / allowed_m2[..., 2, 2]
     near = away_m <= STRETCH_M
-    allowed_m2 = change_m2 + variance_m2[:, None] + variance_m2
-    alike = near * np.exp(-off_m2 / (2.0 * _KERNEL_SIGMAS**2 * allowed_m2))
+    alike = near * np.exp(-squared / (2.0 * _KERNEL_SIGMAS**2))
     starts = np.flatnonzero(np.diff(pairs.first, prepend=-1))
     support = np.maximum.reduceat(alike, starts, axis=1).sum(axis=1)
     around = np.maximum.reduceat(near, starts, axis=1).sum(axis=1)
     return support, around.astype(np.float64)
+
+
+def _squared_on_ground(offset_m: FloatArray, covariance_m2: FloatArray) -> FloatArray:
+    """Return the squared horizontal length (...,) of offsets (..., 3) in sigmas."""
+    x, y = offset_m[..., 0], offset_m[..., 1]
+    a, b, d = covariance_m2[..., 0, 0], covariance_m2[..., 0, 1], covariance_m2[..., 1, 1]
+    return np.asarray((d * x * x - 2.0 * b * x * y + a * y * y) / (a * d - b * b))
 
 
 def _best_rival(element: IntArray, support: FloatArray) -> FloatArray:
