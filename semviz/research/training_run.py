@@ -374,7 +374,8 @@ def training_samples(name: str, suite: str | None) -> simulated_samples.Simulate
     """
     if name not in TASKS:
         raise SemvizError(f"nothing called {name} can be trained; there are {', '.join(TASKS)}")
-    return TASKS[name][1] if suite is None else SUITES[suite]
+    samples = TASKS[name][1]
+    return samples if samples is None or suite is None else SUITES[suite]
 
 
 def make_training_task(

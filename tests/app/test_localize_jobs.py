@@ -1,14 +1,13 @@
 """``semviz localize --jobs``: several processes give the same run."""
 
-import multiprocessing
 import os
 import signal
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
+from deadly_frames import Frames
 
 from semviz.cli import main
 from semviz.runs.reader import load_run
@@ -70,33 +69,6 @@ def test_what_cannot_be_shared_is_refused(
     assert not (tmp_path / "none.rrd").exists()
 
 
-class Told:
-    """What stands for a record."""
-
-    def __init__(self, row: int) -> None:
-        self.row, self.process = row, os.getpid()
-        self.interrupt = signal.getsignal(signal.SIGINT)
-
-
-class Frames:
-    """Frames of which one kills the process that localizes it, unless it is the first process."""
-
-    def __init__(self, deadly: int | None = None) -> None:
-        self.deadly = deadly
-
-    def __call__(self) -> "Frames":
-        return self
-
-    def warmup(self) -> None:
-        pass
-
-    def localized(self, rows: range) -> Iterator[FrameRecord]:
-        for row in rows:
-            if row == self.deadly and multiprocessing.parent_process() is not None:
-                os.kill(os.getpid(), signal.SIGKILL)
-            yield cast(Any, Told(row))
-
-
 def test_a_killed_process_costs_no_frame(capfd: pytest.CaptureFixture[str]) -> None:
     told: Any = list(localized_in_processes(Frames(deadly=40), 100, 2))
     assert [record.row for record in told] == list(range(100))
@@ -107,6 +79,10 @@ def test_a_killed_process_costs_no_frame(capfd: pytest.CaptureFixture[str]) -> N
 
 
 def test_ctrl_c_is_for_the_first_process_alone() -> None:
-    told: Any = list(localized_in_processes(Frames(), 20, 2))
-    assert {record.interrupt for record in told} == {signal.SIG_IGN}
-    assert signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        told: Any = list(localized_in_processes(Frames(), 20, 2))
+        assert {record.interrupt for record in told} == {signal.SIG_IGN}
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
