@@ -15,7 +15,7 @@ COMPUTED = {
     "G2": (),
     "G3": (),
     "G4": ("town", "lane", "mono"),
-    "G9": ("map as colmap", "map from", "poses of workspace"),
+    "G9": ("map as colmap", "map from", "poses of workspace", "poses of run as"),
 }
 """Prefixes of the keys whose last bits depend on the machine."""
 
