@@ -21,6 +21,7 @@ from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.conventions import map_on_earth
 
+_STILL_M = 0.001
 _TOO_LARGE = 1.25
 """Errors of poses beyond so many times the stated ones are said."""
 
@@ -65,8 +66,9 @@ class MergeReport:
 
     @property
     def found_sigma_m(self) -> float:
-        """The error of poses, in each direction, by what the drives were moved."""
-        return _rms(np.array([drive.moved_m for drive in self.drives])) / float(np.sqrt(2.0))
+        """The error of poses, in each direction, by how far drives were moved, if any were."""
+        moved_m = [drive.moved_m for drive in self.drives if drive.moved_m > _STILL_M]
+        return _rms(np.array(moved_m or [0.0])) / float(np.sqrt(2.0))
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
