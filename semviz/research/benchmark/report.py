@@ -98,7 +98,7 @@ PAPER_SUITES = {
         "scans, or for their run times.",
         _PRINTED_FIGURES,
         "`deepi2p-pixels` is a small re-implementation of DeepI2P (1.2 million weights, trained "
-        "for minutes on 10,000 clouds of simulated streets; published: 4 million), with inverse "
+        "on 12,000 pictures of simulated streets; published: 4 million), with inverse "
         "camera projection as solver; `deepi2p-pixels-cells` is the same network with cells and "
         "EPnP. 2D3D-MatchNet from pixels is not re-implemented: on these "
         "streets, 5 of 48 ISS keypoints that an image shows have a SIFT keypoint within 3 px, and "
