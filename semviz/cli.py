@@ -40,7 +40,7 @@ MapCommands = Annotated[
     | Annotated[map_files.MapImportCommand, subcommand("import")]
     | Annotated[MapBackdropCommand, subcommand("backdrop")],
     subcommand(
-        "map", description="Build maps from labels; check, compare, import and export them."
+        "map", description="Build maps from labels; merge, check, compare, import and export them."
     ),
 ]
 PoseCommands = Annotated[
