@@ -62,12 +62,17 @@ def test_the_summary_is_also_json(
 def test_no_map_is_lost(drives: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
     files = [drive / "maps" / "main.parquet" for drive in drives]
     before = [file.read_bytes() for file in files]
+    cut = drives[0].parent / "cut.parquet"
+    cut.write_bytes(before[1][:-100])
     for arguments, message in (
         ((*drives, "--write", "main"), "is a map to merge; choose another name"),
         ((*drives, "--write", "truth"), "exists already; choose another name or use --replace"),
         ((drives[0], drives[0], "--write", "town"), "is given twice; each drive counts once"),
         ((drives[0], drives[0].parent / "july", "--write", "town"), "july"),
         ((*drives, "--write", "town", "--pose-sigma-m", "0"), "must be above 0"),
+        ((*drives, "--write", "town", "--pose-sigma-m", "inf"), "must be above 0 and finite"),
+        ((*drives, "--write", "town", "--pose-sigma-deg", "nan"), "must be above 0 and finite"),
+        ((drives[0], cut, "--write", "town"), "cut.parquet: "),
     ):
         status, output, errors = call(capsys, "map", "merge", *arguments)
         assert (status, output) == (2, "")

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 _ALONG_M = 5.0
 """Sigma along a pole of an end that no view shows: what was seen of it is no end."""
-_LEAST_M = 0.01
+LEAST_M = 0.01
+"""Least sigma of an element, in each direction."""
 _CAUCHY = 3.0
 _MEDIAN_CHI2 = 2.0 * np.log(2.0)
 """Of two degrees of freedom."""
@@ -77,7 +78,7 @@ def information_of(
     axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
     along_m2 = np.einsum("ni,nj->nij", axis, axis) * _ALONG_M**2
     whole_m2 = scatter_m**2 * np.kron(np.ones((2, 2)), np.eye(3))
-    spread_m2 = covariance_m2 + whole_m2 + _LEAST_M**2 * np.eye(6)
+    spread_m2 = covariance_m2 + whole_m2 + LEAST_M**2 * np.eye(6)
     for end, rows in enumerate((slice(0, 3), slice(3, 6))):
         is_open = is_line & ~known[:, end]
         spread_m2[:, rows, rows] += along_m2 * is_open[:, None, None]

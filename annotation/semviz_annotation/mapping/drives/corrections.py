@@ -41,8 +41,10 @@ class PoseErrors:
     """Of the heading."""
 
     def __post_init__(self) -> None:
-        if not (self.sigma_m > 0.0 and self.sigma_rad > 0.0):
-            raise SemvizError("the errors of poses must be above 0; leave them out to use 0.5 m")
+        if not (0.0 < self.sigma_m < np.inf and 0.0 < self.sigma_rad < np.inf):
+            raise SemvizError(
+                "the errors of poses must be above 0 and finite; leave them out to use 0.5 m"
+            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,28 +6,24 @@ different drives are paired where a whole stretch is shifted alike, and the driv
 these pairs; corrected drives lie closer, so the next round can tell nearer neighbours apart.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from semviz_annotation.mapping.drives.alignment import Alignment, align, information_of
+from semviz_annotation.mapping.association.tracks import OnProgress
+from semviz_annotation.mapping.drives.alignment import LEAST_M, Alignment, align, information_of
 from semviz_annotation.mapping.drives.corrections import Knots, PoseErrors
 from semviz_annotation.mapping.drives.shift_votes import Pairs, Places, vote
-from semviz_core.base.semantic_map import (
-    SemanticMap,
-    footprint_covariance_m2,
-)
+from semviz_core.base.semantic_map import SemanticMap, footprint_covariance_m2
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 
 ROUNDS = (1.0, 0.5, 0.3)
 """Share of the poses' errors that is left before each round."""
 FIRST_SCATTER = 0.15
 """Share of the poses' errors by which elements scatter, before it is known."""
-_LEAST_M2 = 0.01**2
 CHANCE = 1e-5
 """Probability that an element is taken out of its landmark by chance."""
-OnProgress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -68,8 +64,8 @@ class Stack:
         parts = [one.elements for one in maps]
         footprints = np.concatenate([footprint_covariance_m2(part) for part in parts])
         heights_m2 = np.concatenate([part.covariance_m2[:, 2, 2] for part in parts])
-        footprints[:, range(3), range(3)] += _LEAST_M2
-        footprints[:, 2, 2] = heights_m2 + _LEAST_M2
+        footprints[:, 2, 2] = heights_m2
+        footprints += LEAST_M**2 * np.eye(3)
         return cls(
             np.concatenate([np.hstack([part.anchor_m, part.end_m]) for part in parts]),
             np.concatenate([part.covariance_m2 for part in parts]),

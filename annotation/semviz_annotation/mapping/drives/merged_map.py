@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from semviz_annotation.mapping.association.tracks import OnProgress
 from semviz_annotation.mapping.drives.merge import (
     DEFAULT_OPTIONS,
     MergeOptions,
     Merging,
-    OnProgress,
     Stack,
     merge_elements,
 )
@@ -111,7 +111,7 @@ def merge_maps(
     return MergedDrives(_merged(given, merging), _report(names, merging, options), merging)
 
 
-def in_frame(semantic_map: SemanticMap, frame: MapFrame, name: str) -> SemanticMap:
+def _in_frame(semantic_map: SemanticMap, frame: MapFrame, name: str) -> SemanticMap:
     """Return a map in another frame, by the places of both on earth. Raise SemvizError if they
     differ and these are not known."""
     own = semantic_map.frame
@@ -145,24 +145,16 @@ def _alike(maps: Mapping[str, SemanticMap]) -> list[SemanticMap]:
                 f"{name}: the centre of triangular signs is another than in {first_name}; build "
                 "one of the maps again"
             )
-    return [in_frame(one, first.frame, name) for name, one in maps.items()]
+    return [_in_frame(one, first.frame, name) for name, one in maps.items()]
 
 
 def _merged(maps: Sequence[SemanticMap], merging: Merging) -> SemanticMap:
     """Return the landmarks as a map in the frame of the first, sorted by id."""
     stack, first = merging.stack, maps[0]
-    members = members_of(merging.landmark)
+    members = _members_of(merging.landmark)
     ids = _ids(stack, members)
     order = np.argsort(ids)
     members, ids = [members[row] for row in order.tolist()], ids[order]
-    origins = [(stack.drive[rows].tolist(), stack.id[rows].tolist()) for rows in members]
-    attributes = {}
-    for id_, (drives, own_ids) in zip(ids.tolist(), origins, strict=True):
-        values: dict[str, str] = {}
-        for number, own in zip(reversed(drives), reversed(own_ids), strict=True):
-            values |= maps[number].attributes.get(own, {})
-        if values:
-            attributes[id_] = values
     return SemanticMap(
         elements=_elements(merging, members, ids, order),
         frame=first.frame,
@@ -171,11 +163,11 @@ def _merged(maps: Sequence[SemanticMap], merging: Merging) -> SemanticMap:
         provenance=_provenance(maps, members, stack) if any(one.provenance for one in maps) else (),
         made_by=f"semviz {version('semviz')}, {len(maps)} drives",
         triangle_center=first.triangle_center,
-        attributes=attributes,
+        attributes=_attributes(maps, members, ids, stack),
     )
 
 
-def members_of(landmark: IntArray) -> list[IntArray]:
+def _members_of(landmark: IntArray) -> list[IntArray]:
     """Return the elements of each landmark, ascending."""
     ends = np.cumsum(np.bincount(landmark))
     return np.split(np.argsort(landmark, kind="stable"), ends[:-1])
@@ -221,6 +213,19 @@ def _provenance(
     parts = [one.provenance or (Provenance(),) * len(one) for one in maps]
     every = [origin for part in parts for origin in part]
     return tuple(_joined([every[row] for row in rows.tolist()]) for rows in members)
+
+
+def _attributes(
+    maps: Sequence[SemanticMap], members: Sequence[IntArray], ids: IntArray, stack: Stack
+) -> dict[int, dict[str, str]]:
+    """Return what is known of landmarks; of two values, the one of the earlier map."""
+    found: dict[int, dict[str, str]] = {}
+    for id_, rows in zip(ids.tolist(), members, strict=True):
+        for row in reversed(rows.tolist()):
+            own = maps[stack.drive[row]].attributes.get(int(stack.id[row]))
+            if own:
+                found[id_] = found.get(id_, {}) | dict(own)
+    return found
 
 
 def _joined(origins: Sequence[Provenance]) -> Provenance:

@@ -1,11 +1,11 @@
 """Camera poses from three points (P3P), compiled.
 
-The unknowns are the depths l of the points along
-their rays. The law of cosines gives l_i^2 + l_j^2 - 2 b_ij l_i l_j = a_ij; two combinations
-without a constant are cones. Where the cubic determinant of the pencil they span is 0, its
-member is a pair of planes (Persson and Nordberg 2018, "Lambda Twist"). The planes follow from
-the adjugate (Richter-Gebert 2011, section 11.1). Each plane meets a cone in up to two lines:
-the depths up to scale. Non-existing solutions are NaN on the way and give no pose.
+The unknowns are the depths l of the points along their rays. The law of cosines gives
+l_i^2 + l_j^2 - 2 b_ij l_i l_j = a_ij; two combinations without a constant are cones. Where the
+cubic determinant of the pencil they span is 0, its member is a pair of planes (Persson and
+Nordberg 2018, "Lambda Twist"). The planes follow from the adjugate (Richter-Gebert 2011, section
+11.1). Each plane meets a cone in up to two lines: the depths up to scale. Non-existing solutions
+are NaN on the way and give no pose.
 """
 
 from typing import TypeAlias
