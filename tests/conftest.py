@@ -9,6 +9,7 @@ import os
 import re
 import shutil
 import sys
+import uuid
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
@@ -241,3 +242,32 @@ def page(
     yield page
     context.close()
     assert not page_errors, "errors in the page:\n" + "\n".join(page_errors)
+
+
+@pytest.fixture(scope="session")
+def s3_server() -> Iterator[str]:
+    """Address of a server that speaks the protocol of S3, and keeps its objects in memory."""
+    try:
+        server_of_moto = importlib.import_module("moto.server").ThreadedMotoServer
+        importlib.import_module("s3fs")
+    except ImportError as error:
+        skip_or_fail(f"no server for S3 ({error}); install 'moto[server]' and s3fs")
+    server = server_of_moto(port=0, verbose=False)
+    server.start()
+    host, port = server.get_host_and_port()
+    yield f"http://{host}:{port}"
+    server.stop()
+
+
+@pytest.fixture
+def s3_place(s3_server: str, monkeypatch: pytest.MonkeyPatch) -> str:
+    """URL of an empty place in an object store, which child processes find, too."""
+    import s3fs
+
+    monkeypatch.setenv("AWS_ENDPOINT_URL", s3_server)
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "a-test")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "of-semviz")
+    monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
+    bucket = f"bucket-{uuid.uuid4().hex}"
+    s3fs.S3FileSystem(skip_instance_cache=True).mkdir(bucket)
+    return f"s3://{bucket}/city"

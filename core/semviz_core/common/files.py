@@ -61,6 +61,26 @@ def _temporary(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def create_file(path: Path, fill: Callable[[Path], object]) -> bool:
+    """Write a new file whole by ``fill``, and return True; if ``path`` exists, return False.
+
+    Of several processes that do so at once, one gets True. Raise OSError if it cannot be written,
+    or the file system has no hard links.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.exists():
+        return False
+    with _temporary(path) as temporary:
+        fill(temporary)
+        _fsync(temporary)
+        try:
+            path.hardlink_to(temporary)
+        except FileExistsError:
+            return False
+        _fsync(path.parent)
+    return True
+
+
 def _link(temporary: Path, path: Path) -> None:
     """Give a file a second name, unless that is taken."""
     try:
