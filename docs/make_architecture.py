@@ -22,12 +22,13 @@ CORE, ANNOTATION, APP = (
 ORDER = {
     CORE: (
         "common", "base", "subpixel", "datasets", "pose_checks", "metrics", "detection",
-        "localization", "tracking", "diagnosis", "localizability", "simulation", "research",
+        "localization", "map_tiles", "tracking", "diagnosis", "localizability", "simulation",
+        "research",
     ),
     ANNOTATION: ("labels", "storage", "mapping", "assist", "label_formats", "map_formats"),
     APP: (
-        "presentation", "runs", "web", "workspace", "reports", "what_if", "annotator", "inspector",
-        "research", "commands",
+        "presentation", "runs", "web", "workspace", "reports", "collection", "what_if",
+        "annotator", "inspector", "research", "commands",
     ),
 }  # fmt: skip
 RESEARCH = ("evaluation", "training", "paper", "pair_matcher")

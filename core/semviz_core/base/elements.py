@@ -180,10 +180,14 @@ class Elements3D:
         return Elements3D(**values)
 
 
-def joined(first: Elements, second: Elements) -> Elements:
-    """Return the elements of ``first``, then those of ``second``."""
+def joined(first: Elements, *others: Elements) -> Elements:
+    """Return the elements of ``first``, then those of the others."""
+    parts = (first, *others)
     return type(first)(
-        **{name: np.concatenate([value, vars(second)[name]]) for name, value in vars(first).items()}
+        **{
+            each.name: np.concatenate([getattr(part, each.name) for part in parts])
+            for each in fields(first)
+        }
     )
 
 

@@ -4,12 +4,13 @@ A file is written completely or not at all. A checksum of all values is stored w
 """
 
 import base64
+import io
 import json
 import math
 import zlib
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,13 +22,19 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.common.limits import first_line, open_parquet, parsed_json, shown, unpacked
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 FORMAT = "semviz-map"
 VERSION, OLDER_VERSION = 3, 2
 """Maps whose triangles follow the box are written as version 2. Earlier versions of semviz, which
 would take any triangle's middle for that of its box, refuse those of version 3."""
 CHECKSUM = "crc32"
 """Key of the metadata; missing in maps of earlier versions of semviz, which are not checked."""
+_PACKING = "zstd"
 _VECTORS = {"anchor_m": 3, "end_m": 3, "covariance_m2": 36}
+_PLACES = ["id", "class_id", "anchor_known", "end_known", *_VECTORS]
+"""Columns that localization needs."""
 _ORIGINS = {
     "label_ids": "label_ids.list.element",
     "observation_ids": "observation_ids.list.element",
@@ -48,13 +55,29 @@ MOST_TEXT_CHARACTERS = 300
 
 def save_map(semantic_map: SemanticMap, path: Path | str) -> None:
     """Write ``path`` completely or not at all. Raise SemvizError if it cannot be written."""
-    import pyarrow as pa
     import pyarrow.parquet as pq
+
+    table = _table(semantic_map)
+    with replacing(Path(path)) as temporary:
+        pq.write_table(table, temporary, compression=_PACKING)
+
+
+def map_content(semantic_map: SemanticMap) -> bytes:
+    """Return the content of the file of a map; the same for equal maps, and one pyarrow."""
+    import pyarrow.parquet as pq
+
+    content = io.BytesIO()
+    pq.write_table(_table(semantic_map), content, compression=_PACKING)
+    return content.getvalue()
+
+
+def _table(semantic_map: SemanticMap) -> "pa.Table":
+    """Return a map's rows, with all else as metadata."""
+    import pyarrow as pa
 
     elements = semantic_map.elements
     columns: dict[str, Any] = {
-        name: pa.array(getattr(elements, name))
-        for name in ("id", "class_id", "anchor_known", "end_known")
+        name: pa.array(getattr(elements, name)) for name in _PLACES if name not in _VECTORS
     }
     for name, width in _VECTORS.items():
         flat = np.ascontiguousarray(getattr(elements, name)).reshape(-1)
@@ -75,21 +98,32 @@ def save_map(semantic_map: SemanticMap, path: Path | str) -> None:
         columns[_ATTRIBUTES] = pa.array(texts, pa.list_(pa.string()))
     table, metadata = pa.table(columns), _metadata(semantic_map)
     text = json.dumps(metadata | {CHECKSUM: _checksum(table, metadata)})
-    table = table.replace_schema_metadata({FORMAT: text})
-    with replacing(Path(path)) as temporary:
-        pq.write_table(table, temporary, compression="zstd")
+    return table.replace_schema_metadata({FORMAT: text})
 
 
 def load_map(path: Path | str) -> SemanticMap:
     """Read a map. Raise SemvizError if ``path`` is missing, damaged, not a map, or newer."""
-    import pyarrow as pa
-
     path = Path(path)
     if not path.is_file():
         raise SemvizError(f"{path}: no such map; make one with 'semviz map build'")
+    return _parsed(path, path)
+
+
+def parsed_map(content: bytes, name: str, *, origins: bool = True) -> SemanticMap:
+    """Return the map in the content of a file called ``name``.
+
+    Without ``origins``, it has no provenance and attributes, and its checksum is not compared: for
+    content that is known to be right. Raise SemvizError as ``load_map`` does.
+    """
+    return _parsed(content, name, origins=origins)
+
+
+def _parsed(content: Path | bytes, path: Path | str, *, origins: bool = True) -> SemanticMap:
+    import pyarrow as pa
+
     try:
-        file = open_parquet(path, MOST_BYTES, MOST_VALUES, tuple(_ORIGINS.values()))
-        table = file.read()
+        file = open_parquet(content, MOST_BYTES, MOST_VALUES, tuple(_ORIGINS.values()), path)
+        table = file.read() if origins else file.read(_PLACES, use_threads=False)
     except pa.ArrowInvalid as error:  # whole, but its columns are not those of a map
         raise SemvizError(f"{path}: broken map ({first_line(error)}); rebuild it") from None
     except (pa.ArrowException, OSError, ValueError) as error:
@@ -102,8 +136,8 @@ def load_map(path: Path | str) -> SemanticMap:
         metadata = parsed_json(raw)
         version = int(metadata["version"])
         if version <= VERSION:
-            semantic_map = _assemble(table, metadata)
-            if metadata.pop(CHECKSUM, None) not in (None, _checksum(table, metadata)):
+            semantic_map = _assemble(table, metadata, _provenance(table) if origins else ())
+            if origins and metadata.pop(CHECKSUM, None) not in (None, _checksum(table, metadata)):
                 raise SemvizError("it is not as it was written: its checksum differs")
             return semantic_map
     except SemvizError as error:
@@ -116,7 +150,9 @@ def load_map(path: Path | str) -> SemanticMap:
     raise SemvizError(f"{path}: {newer}; update semviz")
 
 
-def _assemble(table: Any, metadata: dict[str, Any]) -> SemanticMap:
+def _assemble(
+    table: Any, metadata: dict[str, Any], provenance: tuple[Provenance, ...]
+) -> SemanticMap:
     import pyarrow as pa
 
     def vectors(name: str) -> FloatArray:
@@ -136,15 +172,6 @@ def _assemble(table: Any, metadata: dict[str, Any]) -> SemanticMap:
         anchor_known=table["anchor_known"].to_numpy(),
         end_known=table["end_known"].to_numpy(),
     )
-    provenance = tuple(
-        Provenance(tuple(labels), tuple(observations), odds)
-        for labels, observations, odds in zip(
-            _texts(table["label_ids"]),
-            _texts(table["observation_ids"]),
-            _log_odds(table),
-            strict=True,
-        )
-    )
     frame = metadata["frame"]
     origin = tuple(frame["origin"]) if frame["origin"] else None
     return SemanticMap(
@@ -152,7 +179,7 @@ def _assemble(table: Any, metadata: dict[str, Any]) -> SemanticMap:
         frame=MapFrame(frame["name"], origin, frame.get("x_heading_deg", 90.0)),
         classes=ClassSet(tuple(ElementClass(**row) for row in metadata["classes"])),
         trajectory_m=_decode_points(metadata["trajectory_m"]),
-        provenance=provenance if any(entry.label_ids for entry in provenance) else (),
+        provenance=provenance,
         decisions=tuple(_decision(row) for row in _unpacked(metadata.get("decisions"))),
         made_by=str(metadata["made_by"]),
         settings=dict(metadata.get("settings", {})),
@@ -160,6 +187,16 @@ def _assemble(table: Any, metadata: dict[str, Any]) -> SemanticMap:
         triangle_center=parse_triangle_center(metadata.get("triangle_center")),
         attributes=_attributes(table),
     )
+
+
+def _provenance(table: Any) -> tuple[Provenance, ...]:
+    """Return what each element was made from; nothing if that is known of none."""
+    lists = (_texts(table[name]) for name in ("label_ids", "observation_ids"))
+    found = tuple(
+        Provenance(tuple(labels), tuple(observations), odds)
+        for labels, observations, odds in zip(*lists, _log_odds(table), strict=True)
+    )
+    return found if any(entry != Provenance() for entry in found) else ()
 
 
 def _attributes(table: Any) -> dict[int, dict[str, str]]:

@@ -17,11 +17,15 @@ from numpy.typing import ArrayLike
 
 from semviz_core.base.classes import DEFAULT_CLASSES, OLDER_CENTER, ClassSet, TriangleCenter
 from semviz_core.base.elements import Elements3D
-from semviz_core.common.arrays import FloatArray, IntArray, float_array
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, float_array
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
+
+
+_SLACK = 1e-9
+"""What a tree of points may round; relative, and in metres."""
 
 
 @dataclass(frozen=True)
@@ -173,9 +177,7 @@ class SemanticMap:
 
     @cached_property
     def _road_m(self) -> FloatArray:
-        cubes = np.floor(self.trajectory_m)
-        _, first = np.unique(cubes, axis=0, return_index=True)
-        return self.trajectory_m[np.sort(first)]
+        return self.trajectory_m[first_in_cubes(self.trajectory_m)]
 
     @cached_property
     def _road(self) -> "cKDTree":
@@ -198,16 +200,36 @@ def _ground_index(points_m: FloatArray) -> "cKDTree":
     return cKDTree(points_m[:, :2], balanced_tree=False, compact_nodes=False)
 
 
-def _rows_near(index: "cKDTree", center_m: ArrayLike, radius_m: float) -> IntArray:
-    """Return rows of ``index`` within ``radius_m`` of ``center_m``, ascending."""
+def checked_circle(center_m: ArrayLike, radius_m: float) -> tuple[FloatArray, float]:
+    """Return a centre (2,) and a radius. Raise SemvizError if they are none."""
     radius = float(float_array(radius_m, (), "radius_m"))
     if radius < 0.0:
         raise SemvizError(f"radius_m is {radius:g}; give metres, 0 or more")
     center = float_array(center_m, (None,), "center_m")
     if len(center) not in (2, 3):
         raise SemvizError(f"center_m has shape {center.shape}, expected (2,) or (3,)")
-    rows = index.query_ball_point(center[:2], radius, return_sorted=True)
-    return np.asarray(rows, dtype=np.int64)
+    return center[:2], radius
+
+
+def _rows_near(index: "cKDTree", center_m: ArrayLike, radius_m: float) -> IntArray:
+    """Return rows of ``index`` within ``radius_m`` of ``center_m``, ascending."""
+    center, radius = checked_circle(center_m, radius_m)
+    around = index.query_ball_point(center, radius * (1.0 + _SLACK) + _SLACK, return_sorted=True)
+    rows = np.asarray(around, dtype=np.int64)
+    return rows[is_near(np.asarray(index.data)[rows], center, radius)]
+
+
+def first_in_cubes(points_m: FloatArray) -> IntArray:
+    """Return the rows of the points (n, 3) that are the first in their cubic metre, ascending."""
+    _, first = np.unique(np.floor(points_m), axis=0, return_index=True)
+    return np.sort(first)
+
+
+def is_near(points_m: FloatArray, center_m: FloatArray, radius_m: float) -> BoolArray:
+    """Return (n,) whether points (n, 2 or more) are within a radius on the ground plane."""
+    apart = points_m[:, :2] - center_m[:2]
+    near: BoolArray = apart[:, 0] ** 2 + apart[:, 1] ** 2 <= radius_m**2
+    return near
 
 
 def footprint_m(elements: Elements3D) -> FloatArray:

@@ -9,6 +9,7 @@ fields needed are read here, from Thrift's compact protocol (apache/parquet-form
 """
 
 import csv
+import io
 import json
 import os
 import re
@@ -49,9 +50,9 @@ class Unpacked(NamedTuple):
     bytes: int
 
 
-def unpacked_columns(path: Path) -> list[Unpacked]:
+def unpacked_columns(content: Path | bytes) -> list[Unpacked]:
     """Return what each column unpacks to. Raise ValueError if the file is damaged."""
-    with path.open("rb") as file:
+    with io.BytesIO(content) if isinstance(content, bytes) else content.open("rb") as file:
         size = file.seek(0, 2)
         file.seek(max(size - 8, 0))
         tail = file.read(8)
@@ -423,26 +424,36 @@ def _decoded(data: bytes, where: object, flags: int) -> Any:
 
 
 def open_parquet(
-    path: Path, most_bytes: int, most_values: int, dictionaries: tuple[str, ...] = ()
+    content: Path | bytes,
+    most_bytes: int,
+    most_values: int,
+    dictionaries: tuple[str, ...] = (),
+    name: object = "",
 ) -> "ParquetFile":
-    """Open a Parquet file that takes at most ``most_bytes``, packed and unpacked.
+    """Open a Parquet file, or its content, that takes at most ``most_bytes``, packed and unpacked.
 
     No column may have more than ``most_values`` values, which a few bytes can repeat. Texts at the
     paths ``dictionaries`` are read without copies of repeated ones. Pages with a checksum are
-    compared with it. Raise SemvizError for others, and pyarrow's errors for damaged ones.
+    compared with it. Raise SemvizError for others, which names
+    the file or ``name``, and pyarrow's errors for damaged ones.
     """
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    check_file(path, most_bytes)
-    columns = unpacked_columns(path)
+    if isinstance(content, Path):
+        check_file(content, most_bytes)
+    columns, name = unpacked_columns(content), name or content
     if sum(column.bytes for column in columns) > most_bytes:
-        raise SemvizError(f"{path}: unpacks to more than {most_bytes // 2**20} MB; not read")
+        raise SemvizError(f"{name}: unpacks to more than {most_bytes // 2**20} MB; not read")
     if max((column.values for column in columns), default=0) > most_values:
-        raise SemvizError(f"{path}: more than {most_values} values in a column; not read")
-    schema = pq.read_metadata(path).schema
+        raise SemvizError(f"{name}: more than {most_values} values in a column; not read")
+    source = pa.BufferReader(content) if isinstance(content, bytes) else content
+    metadata = pq.read_metadata(source)
+    schema = metadata.schema
     paths = {column.path for column in map(schema.column, range(len(schema)))}
     return pq.ParquetFile(
-        path,
-        read_dictionary=[name for name in dictionaries if name in paths],
+        source,
+        metadata=metadata,
+        read_dictionary=[path for path in dictionaries if path in paths],
         page_checksum_verification=True,
     )
