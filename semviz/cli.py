@@ -14,6 +14,12 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 
 from semviz.commands import classes, labels, map_changes, map_files, maps, runs
 from semviz.commands.backdrop import MapBackdropCommand
+from semviz.commands.batch import (
+    BatchDetectCommand,
+    BatchEvaluateCommand,
+    BatchLocalizeCommand,
+    BatchMapCommand,
+)
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
 from semviz.commands.detector_rates import DetectRatesCommand
 from semviz.commands.map_merge import MapMergeCommand
@@ -82,6 +88,13 @@ DetectCommands = Annotated[
         "Train, evaluate and calibrate the detector.",
     ),
 ]
+BatchCommands = Annotated[
+    Annotated[BatchDetectCommand, subcommand("detect")]
+    | Annotated[BatchLocalizeCommand, subcommand("localize")]
+    | Annotated[BatchMapCommand, subcommand("map")]
+    | Annotated[BatchEvaluateCommand, subcommand("evaluate")],
+    subcommand("batch", description="Run a command for all drives of a collection, with Ray."),
+]
 Command = (
     Annotated[ServeCommand, subcommand("serve")]
     | Annotated[NewCommand, subcommand("new")]
@@ -98,6 +111,7 @@ Command = (
     | Annotated[OpenRunCommand, subcommand("open")]
     | Annotated[runs.RepairCommand, subcommand("repair")]
     | Annotated[runs.TrajectoryCommand, subcommand("trajectory")]
+    | BatchCommands
     | LabelCommands
     | ClassCommands
     | Annotated[BenchmarkCommand, subcommand("benchmark")]

@@ -1,0 +1,1 @@
+"""One command for all drives of a collection, on the machines of a Ray cluster."""

@@ -1,0 +1,279 @@
+"""The commands batch detect, localize, map and evaluate."""
+
+import json
+import sys
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from math import radians
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import tyro
+from tyro.conf import OmitArgPrefixes, Positional
+
+from semviz.commands import parsing
+from semviz.commands.detect import DetectCommand
+from semviz.commands.maps import MapBuildCommand
+from semviz.commands.runs import LocalizeCommand
+from semviz_core.common.errors import SemvizError
+
+if TYPE_CHECKING:
+    from semviz.batch.batch import Batch, BatchCommand, Outcome
+    from semviz.batch.cluster import Cluster
+    from semviz.collection.collection import Collection, Drive
+
+_COMMANDS: "dict[BatchCommand, type[DetectCommand | LocalizeCommand | MapBuildCommand]]" = {
+    "detect": DetectCommand,
+    "localize": LocalizeCommand,
+    "map": MapBuildCommand,
+}
+
+
+def run_command(command: "BatchCommand", arguments: list[str]) -> int:
+    """Run a command for one workspace, and return its exit status. Raise SemvizError."""
+    return _parsed(command, arguments).run()
+
+
+def _parsed(
+    command: "BatchCommand", arguments: list[str]
+) -> DetectCommand | LocalizeCommand | MapBuildCommand:
+    name = "map build" if command == "map" else command
+    return tyro.cli(
+        _COMMANDS[command], args=arguments, prog=f"semviz {name}", config=(OmitArgPrefixes,)
+    )
+
+
+@dataclass(frozen=True)
+class ClusterOptions:
+    """Where the work is done."""
+
+    ray: parsing.OptionalText = None
+    """Address of a Ray cluster, HOST:PORT; default: all cores of this machine."""
+    cpus: float = 1.0
+    """Cores for each drive."""
+    gpus: float = 0.0
+    """GPUs for each drive, for example 0.25; default: none."""
+
+    def cluster(self) -> "Cluster":
+        from semviz.batch.cluster import Cluster
+
+        if not self.cpus > 0.0 or self.gpus < 0.0:
+            raise SemvizError("--cpus must be more than 0, --gpus 0 or more")
+        return Cluster(self.ray, self.cpus, self.gpus)
+
+
+@dataclass(frozen=True)
+class _DriveCommand:
+    """A command for each drive of a collection."""
+
+    collection: Positional[str]
+    """Folder or URL of the collection."""
+    options: Positional[tuple[str, ...]] = ()
+    """After '--': options of the command for each drive. {drive} stands for its name, {workspace}
+    for its folder."""
+    name: parsing.OptionalText = None
+    """Name of the batch; default: that of the command. The same name goes on."""
+    cluster: ClusterOptions = field(default_factory=ClusterOptions)
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+    def _run_batch(
+        self, command: "BatchCommand", version_of: "Callable[[Collection], int | None]"
+    ) -> "tuple[Batch, list[Outcome]]":
+        """Run the command for all drives that are not done. Return what came of each."""
+        from semviz.batch.batch import Batch, Plan
+        from semviz.batch.work import Work
+        from semviz.collection.collection import Collection
+
+        collection = Collection.open(self.collection)
+        drives = collection.drives()
+        self._check_options(command, drives)
+        name = self.name or command
+        begun = Batch.find(collection, name)
+        version = begun.plan.map_version if begun else version_of(collection)
+        batch = Batch.begin(collection, name, Plan(command, self.options, version))
+        work = Work(self.collection, name, run_command)
+        done = {outcome.drive: outcome for outcome in batch.done_before()}
+        left = [drive for drive in drives if drive.name not in done]
+        outcomes = _outcomes(self.cluster.cluster(), work, left, command)
+        given = [done[drive.name] for drive in drives if drive.name in done]
+        return batch, [*given, *outcomes]
+
+    def _check_options(self, command: "BatchCommand", drives: "tuple[Drive, ...]") -> None:
+        """Parse the options for the first drive: what is wrong with them is wrong for all."""
+        if not drives:
+            raise SemvizError(
+                f"{self.collection}: no drives yet; add workspaces with 'semviz collection add'"
+            )
+        _parsed(command, [drives[0].workspace, *self.options])
+        for option in ("--json", "--out"):
+            if option in self.options:
+                raise SemvizError(f"{option} is the batch's own; leave it out")
+
+
+def _outcomes(
+    cluster: "Cluster", work: "Callable[[Drive], Outcome]", drives: "Sequence[Drive]", what: str
+) -> "list[Outcome]":
+    """Return what comes of each drive, in the order in which they end. Failures are told at
+    once."""
+    from semviz.presentation.terminal import track
+
+    outcomes: list[Outcome] = []
+    if not drives:
+        return outcomes
+    outcomes_of = cluster.run(work, drives, lambda line: print(line, file=sys.stderr))
+    for outcome in track(outcomes_of, what, len(drives)):
+        if outcome.failure:
+            print(f"{outcome.drive} failed: {outcome.failure}", file=sys.stderr)
+        outcomes.append(outcome)
+    return outcomes
+
+
+@dataclass(frozen=True)
+class BatchDetectCommand(_DriveCommand):
+    """Run 'semviz detect' for all drives of a collection, on the machines of a Ray cluster.
+
+    Run the same command again to go on.
+
+    Example: 'semviz batch detect city -- --sides left'."""
+
+    def run(self) -> int:
+        started_s = perf_counter()
+        batch, outcomes = self._run_batch("detect", lambda _: None)
+        totals = {
+            name: sum(outcome.printed[name] for outcome in outcomes if not outcome.failure)
+            for name in ("images", "proposals")
+        }
+        said = ", ".join(f"{total} {name}" for name, total in totals.items())
+        return _report(self, batch, outcomes, totals, said, perf_counter() - started_s)
+
+
+@dataclass(frozen=True)
+class BatchLocalizeCommand(_DriveCommand):
+    """Run 'semviz localize' for all drives of a collection, on the machines of a Ray cluster, in
+    the collection's map if it has one. Run the same command again to go on.
+
+    Example: 'semviz batch localize city -- --observations detected --track'."""
+
+    map_version: parsing.OptionalInt = None
+    """Version of the collection's map; default: the newest one when the batch begins."""
+
+    def run(self) -> int:
+        started_s = perf_counter()
+        batch, outcomes = self._run_batch("localize", self._version)
+        status: Counter[str] = Counter()
+        for outcome in outcomes:
+            status.update(outcome.printed.get("status", {}))
+        said = ", ".join(f"{number} {name}" for name, number in sorted(status.items()))
+        seconds = perf_counter() - started_s
+        exit_status = _report(self, batch, outcomes, {"status": dict(status)}, said, seconds)
+        if not self.json:
+            print(f"next: semviz batch evaluate {self.collection} --name {batch.name}")
+        return exit_status
+
+    def _version(self, collection: "Collection") -> int | None:
+        from semviz_core.map_tiles.manifest import versions
+
+        if "--map" in self.options:
+            return None
+        return self.map_version or max(versions(collection.store), default=None)
+
+
+@dataclass(frozen=True)
+class BatchMapCommand(_DriveCommand):
+    """Run 'semviz map build' for all drives of a collection, on the machines of a Ray cluster; then
+    merge their maps, and publish the result as the collection's map.
+
+    Run the same command again to go on.
+
+    Example: 'semviz batch map city -- --from detections'."""
+
+    pose_sigma_m: float = 0.5
+    """Error of each drive's poses, in each direction."""
+    pose_sigma_deg: float = 0.5
+    """Error of each drive's heading."""
+    partial: bool = False
+    """Merge and publish even if some drives failed."""
+
+    def run(self) -> int:
+        from semviz.batch.merging import publish_merged
+        from semviz.presentation.terminal import Steps
+        from semviz_annotation.mapping.drives.corrections import PoseErrors
+
+        started_s = perf_counter()
+        errors = PoseErrors(self.pose_sigma_m, radians(self.pose_sigma_deg))
+        batch, outcomes = self._run_batch("map", lambda _: None)
+        said, totals = "not merged: all must be done, or add --partial", dict[str, Any]()
+        if self.partial or not any(outcome.failure for outcome in outcomes):
+            with Steps() as steps:
+                published = publish_merged(batch, errors, steps.show)
+            totals, said = published.as_dict(), str(published)
+        return _report(self, batch, outcomes, totals, said, perf_counter() - started_s)
+
+
+@dataclass(frozen=True)
+class BatchEvaluateCommand:
+    """Evaluate the runs of 'semviz batch localize' on the machines of a Ray cluster: one table of
+    all drives.
+
+    Example: 'semviz batch evaluate city --frames frames.parquet'."""
+
+    collection: Positional[str]
+    """Folder or URL of the collection."""
+    name: str = "localize"
+    """Name of the batch."""
+    cluster: ClusterOptions = field(default_factory=ClusterOptions)
+    frames: parsing.OptionalPath = None
+    """Also write a row for each frame of all drives to this Parquet file."""
+    force: parsing.Force = False
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+    def run(self) -> int:
+        from semviz.batch.batch import Batch
+        from semviz.batch.evaluation import Evaluation, Tabulate
+        from semviz.collection.collection import Collection, Drive
+        from semviz.workspace.outputs import PARQUET, check_outputs
+
+        if self.frames is not None:
+            check_outputs(self.frames, PARQUET, force=self.force)
+        collection = Collection.open(self.collection)
+        batch = Batch.open(collection, self.name)
+        runs, done = batch.drives_with("runs"), set(batch.drives_with("frames"))
+        if not runs:
+            raise SemvizError(f"batch {self.name} has no runs; only those of localize have")
+        drives = [Drive(name, "") for name in runs if name not in done]
+        work = Tabulate(self.collection, self.name)
+        outcomes = _outcomes(self.cluster.cluster(), work, drives, "evaluating")
+        evaluation = Evaluation.of(batch)
+        if self.frames is not None:
+            evaluation.save(self.frames)
+        print(json.dumps(evaluation.as_dict()) if self.json else evaluation.as_text())
+        return 1 if any(outcome.failure for outcome in outcomes) else 0
+
+
+def _report(
+    command: _DriveCommand,
+    batch: "Batch",
+    outcomes: "list[Outcome]",
+    totals: dict[str, Any],
+    said: str,
+    seconds: float,
+) -> int:
+    """Print what came of all drives. Return the exit status."""
+    failures = {outcome.drive: outcome.failure for outcome in outcomes if outcome.failure}
+    before = sum(outcome.was_done for outcome in outcomes)
+    core_hours = sum(outcome.seconds for outcome in outcomes) * command.cluster.cpus / 3600.0
+    done = len(outcomes) - len(failures)
+    if command.json:
+        times = {"seconds": seconds, "core_hours": core_hours}
+        counts = {"drives": len(outcomes), "done": done, "done_before": before}
+        print(json.dumps({"batch": batch.name, **counts, "failed": failures, **totals, **times}))
+    else:
+        print(
+            f"{batch.name}: {done} of {len(outcomes)} drives done ({before} of them before), "
+            f"{len(failures)} failed; {said}"
+        )
+        print(f"{seconds:.0f} s, {core_hours:.2f} core-hours in all")
+    return 1 if failures else 0

@@ -1,0 +1,113 @@
+"""A batch counts what is done once, whatever dies and whoever does it too."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from slow_drives import slow_command
+
+from semviz.batch.batch import Batch, BatchCommand, Outcome, Plan
+from semviz.batch.work import Work
+from semviz.collection.collection import Collection, Drive
+from semviz_core.common.errors import SemvizError
+
+
+@pytest.fixture
+def collection(tmp_path: Path) -> Collection:
+    return Collection.create(tmp_path / "city")
+
+
+def run_of(drive: str) -> bytes:
+    return f"{drive}.rrd".encode() * 1000
+
+
+def test_goes_on_with_the_same_plan_and_refuses_another(collection: Collection) -> None:
+    plan = Plan("localize", ("--method", "search"), map_version=3)
+    assert Batch.begin(collection, "june", plan) == Batch.begin(collection, "june", plan)
+    with pytest.raises(SemvizError, match="options --method search, not none"):
+        Batch.begin(collection, "june", replace(plan, options=()))
+
+
+def test_names_the_batches_that_there_are(collection: Collection) -> None:
+    Batch.begin(collection, "june", Plan("detect"))
+    with pytest.raises(SemvizError, match="no batch july; choose from june"):
+        Batch.open(collection, "july")
+
+
+def test_options_hold_the_name_of_the_drive() -> None:
+    plan = Plan("localize", ("--priors", "{workspace}/{drive}.csv"))
+    assert plan.options_for(Drive("may", "/data/may")) == ["--priors", "/data/may/may.csv"]
+
+
+def test_work_stores_a_run_then_that_it_is_done(collection: Collection) -> None:
+    batch = Batch.begin(collection, "june", Plan("localize"))
+    work = Work(collection.where, "june", slow_command)
+    outcome = work(Drive("may", "/data/may"))
+    assert not outcome.failure
+    assert not outcome.was_done
+    assert batch.store.read(batch.output("runs", "may")) == run_of("may")
+    again = work(Drive("may", "/data/may"))
+    assert again.was_done
+    assert again.printed == outcome.printed
+
+
+def interrupted_command(command: BatchCommand, arguments: list[str]) -> int:
+    """Work that is killed after its output, before anybody knows that it is done."""
+    slow_command(command, arguments)
+    raise KeyboardInterrupt
+
+
+def test_what_was_killed_between_output_and_done_is_done_again(collection: Collection) -> None:
+    batch = Batch.begin(collection, "june", Plan("localize"))
+    with pytest.raises(KeyboardInterrupt):
+        Work(collection.where, "june", interrupted_command)(Drive("may", "/data/may"))
+    assert batch.outcome("may") is None
+    batch.store.write_new(batch.output("runs", "may"), run_of("may"))  # what it had stored
+    assert not Work(collection.where, "june", slow_command)(Drive("may", "")).failure
+    assert batch.drives_with("runs") == ["may"]
+
+
+def test_of_two_that_do_a_drive_at_once_the_first_counts(collection: Collection) -> None:
+    batch = Batch.begin(collection, "june", Plan("localize"))
+    first = Outcome("may", printed={"process": 1})
+
+    def overtaken(command: BatchCommand, arguments: list[str]) -> int:
+        batch.finish(first, {})
+        return slow_command(command, arguments)
+
+    outcome = Work(collection.where, "june", overtaken)(Drive("may", "/data/may"))
+    assert outcome == replace(first, was_done=True)
+    assert batch.outcome("may") == outcome
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (SemvizError("/data/may: no such workspace"), "/data/may: no such workspace (on "),
+        (OSError(28, "No space left on device", "/tmp/may.rrd"), "/tmp/may.rrd: No space left"),
+        (MemoryError(), "out of memory (on "),
+        (ZeroDivisionError("division by zero"), "unexpected ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_failure_is_told_and_stores_nothing(
+    collection: Collection, error: Exception, reason: str
+) -> None:
+    def failing(command: BatchCommand, arguments: list[str]) -> int:
+        raise error
+
+    batch = Batch.begin(collection, "june", Plan("localize"))
+    outcome = Work(collection.where, "june", failing)(Drive("may", "/data/may"))
+    assert outcome.failure.startswith(reason)
+    assert collection.store.keys("batches/") == [batch.key("plan.json")]
+
+
+def test_another_version_of_semviz_does_nothing(collection: Collection) -> None:
+    Batch.begin(collection, "june", Plan("localize", semviz="0.0.1"))
+    outcome = Work(collection.where, "june", slow_command)(Drive("may", "/data/may"))
+    assert "the batch was begun with 0.0.1" in outcome.failure
+
+
+def test_a_damaged_plan_is_named(collection: Collection) -> None:
+    collection.store.write_new("batches/june/plan.json", b"{")
+    with pytest.raises(SemvizError, match=r"batches/june/plan.json: no plan of a batch"):
+        Batch.open(collection, "june")
