@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import time
 from pathlib import Path
 
@@ -20,3 +21,10 @@ def slow_command(command: BatchCommand, arguments: list[str]) -> int:
         printed["run"] = str(path)
     print(json.dumps(printed))
     return 0
+
+
+def deadly_command(command: BatchCommand, arguments: list[str]) -> int:
+    """Die at drive d01."""
+    if arguments[-1].endswith("/d01.rrd"):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return slow_command(command, arguments)
