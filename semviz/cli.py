@@ -12,7 +12,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 
-from semviz.commands import classes, labels, map_changes, map_files, maps, runs
+from semviz.commands import classes, collection, labels, map_changes, map_files, maps, runs
 from semviz.commands.backdrop import MapBackdropCommand
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
 from semviz.commands.detector_rates import DetectRatesCommand
@@ -82,6 +82,16 @@ DetectCommands = Annotated[
         "Train, evaluate and calibrate the detector.",
     ),
 ]
+CollectionCommands = Annotated[
+    Annotated[collection.CollectionCreateCommand, subcommand("create")]
+    | Annotated[collection.CollectionAddCommand, subcommand("add")]
+    | Annotated[collection.CollectionShowCommand, subcommand("show")]
+    | Annotated[collection.CollectionPublishCommand, subcommand("publish")]
+    | Annotated[collection.CollectionExportCommand, subcommand("export")],
+    subcommand(
+        "collection", description="Many drives and one map of them in tiles, in a folder or S3."
+    ),
+]
 Command = (
     Annotated[ServeCommand, subcommand("serve")]
     | Annotated[NewCommand, subcommand("new")]
@@ -90,6 +100,7 @@ Command = (
     | DetectCommands
     | PoseCommands
     | MapCommands
+    | CollectionCommands
     | Annotated[runs.LocalizeCommand, subcommand("localize")]
     | Annotated[RecordCommand, subcommand("record")]
     | Annotated[runs.EvaluateCommand, subcommand("evaluate")]
