@@ -12,14 +12,8 @@ from typing import Annotated
 import tyro
 from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 
-from semviz.commands import classes, labels, map_changes, map_files, maps, runs
+from semviz.commands import batch, classes, collection, labels, map_changes, map_files, maps, runs
 from semviz.commands.backdrop import MapBackdropCommand
-from semviz.commands.batch import (
-    BatchDetectCommand,
-    BatchEvaluateCommand,
-    BatchLocalizeCommand,
-    BatchMapCommand,
-)
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
 from semviz.commands.detector_rates import DetectRatesCommand
 from semviz.commands.map_merge import MapMergeCommand
@@ -89,11 +83,21 @@ DetectCommands = Annotated[
     ),
 ]
 BatchCommands = Annotated[
-    Annotated[BatchDetectCommand, subcommand("detect")]
-    | Annotated[BatchLocalizeCommand, subcommand("localize")]
-    | Annotated[BatchMapCommand, subcommand("map")]
-    | Annotated[BatchEvaluateCommand, subcommand("evaluate")],
+    Annotated[batch.BatchDetectCommand, subcommand("detect")]
+    | Annotated[batch.BatchLocalizeCommand, subcommand("localize")]
+    | Annotated[batch.BatchMapCommand, subcommand("map")]
+    | Annotated[batch.BatchEvaluateCommand, subcommand("evaluate")],
     subcommand("batch", description="Run a command for all drives of a collection, with Ray."),
+]
+CollectionCommands = Annotated[
+    Annotated[collection.CollectionCreateCommand, subcommand("create")]
+    | Annotated[collection.CollectionAddCommand, subcommand("add")]
+    | Annotated[collection.CollectionShowCommand, subcommand("show")]
+    | Annotated[collection.CollectionPublishCommand, subcommand("publish")]
+    | Annotated[collection.CollectionExportCommand, subcommand("export")],
+    subcommand(
+        "collection", description="Many drives and one map of them in tiles, in a folder or S3."
+    ),
 ]
 Command = (
     Annotated[ServeCommand, subcommand("serve")]
@@ -103,6 +107,8 @@ Command = (
     | DetectCommands
     | PoseCommands
     | MapCommands
+    | CollectionCommands
+    | BatchCommands
     | Annotated[runs.LocalizeCommand, subcommand("localize")]
     | Annotated[RecordCommand, subcommand("record")]
     | Annotated[runs.EvaluateCommand, subcommand("evaluate")]
@@ -111,7 +117,6 @@ Command = (
     | Annotated[OpenRunCommand, subcommand("open")]
     | Annotated[runs.RepairCommand, subcommand("repair")]
     | Annotated[runs.TrajectoryCommand, subcommand("trajectory")]
-    | BatchCommands
     | LabelCommands
     | ClassCommands
     | Annotated[BenchmarkCommand, subcommand("benchmark")]

@@ -80,7 +80,7 @@ def _arguments(batch: Batch, drive: Drive, where: str, folder: Path) -> list[str
     if plan.command == "localize":
         arguments += ["--out", str(folder / f"{drive.name}.rrd")]
         if plan.map_version is not None:
-            arguments += ["--map", where, "--map-version", str(plan.map_version)]
+            arguments += ["--collection", where, "--map-version", str(plan.map_version)]
     return arguments
 
 

@@ -10,7 +10,7 @@ Workspaces stay where they are, on a file system that all can open.
 """
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeVar
@@ -22,6 +22,7 @@ from semviz.workspace.workspace import Workspace
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import first_line, shown
 from semviz_core.common.store import FolderStore, Store
+from semviz_core.map_tiles.tiled_map import TiledMap
 
 _COLLECTION = "collection.json"
 _DRIVES, _ENDING = "drives/", ".json"
@@ -61,12 +62,12 @@ class Collection:
     store: Store
 
     @classmethod
-    def create(cls, where: Path | str, workspaces: "Drives" = ()) -> "Collection":
+    def create(cls, where: Path | str, workspaces: Iterable[Path | str] = ()) -> "Collection":
         """Make a collection with some drives in a new folder, or in an object store."""
         if "://" not in str(where):
             check_new_folder(Path(where))
             check_empty(Path(where))
-        named = _named(workspaces)
+        named = _named(workspaces)  # before a folder is made
         collection = cls(Store.at(where, make=True))
         content = _content(_CollectionFile())
         if not collection.store.write_new(_COLLECTION, content):
@@ -76,7 +77,7 @@ class Collection:
                 f"{where}: this object store replaces files that it has to keep (If-None-Match); "
                 "use another one, or a folder"
             )
-        collection.add(named)
+        collection._add(named)
         return collection
 
     @classmethod
@@ -100,13 +101,15 @@ class Collection:
         keys = self.store.keys(_DRIVES)
         return tuple(self._drive(key) for key in keys if key.endswith(_ENDING))
 
-    def add(self, workspaces: "Drives") -> tuple[Drive, ...]:
+    def add(self, workspaces: Iterable[Path | str]) -> tuple[Drive, ...]:
         """Add workspaces as drives, and return these.
 
-        A drive is called as its workspace's folder, unless a name is given. Raise SemvizError if
-        one is no workspace (then none is added), or a name is taken.
+        A drive is called as its workspace's folder, or as a text ``NAME=FOLDER`` says. Raise
+        SemvizError if one is no workspace, or a name is taken; then none is added.
         """
-        named = _named(workspaces)
+        return self._add(_named(workspaces))
+
+    def _add(self, named: dict[str, Path]) -> tuple[Drive, ...]:
         taken = {drive.name for drive in self.drives()} & set(named)
         if taken:
             raise _taken(min(taken))
@@ -115,6 +118,10 @@ class Collection:
             if not self.store.write_new(_key(name), content):
                 raise _taken(name)
         return tuple(self._drive(_key(name)) for name in named)
+
+    def tiled_map(self, version: int | None = None) -> TiledMap:
+        """Return a version of the map; None: the newest. Raise SemvizError if there is none."""
+        return TiledMap.open(self.store, version)
 
     def _drive(self, key: str) -> Drive:
         kept = self._parsed(key, _DriveFile).workspace
@@ -139,23 +146,17 @@ class Collection:
             ) from None
 
 
-Drives = Iterable[Path | str] | Mapping[str, Path]
-"""Folders of workspaces, or these by the names of the drives."""
-
-
-def _named(workspaces: Drives) -> dict[str, Path]:
+def _named(workspaces: Iterable[Path | str]) -> dict[str, Path]:
     """Return folders of workspaces by the names of the drives. Raise SemvizError if one is no
     workspace, or two have one name."""
-    if isinstance(workspaces, Mapping):
-        pairs = [(name, Path(path)) for name, path in workspaces.items()]
-    else:
-        paths = [Path(path) for path in workspaces]
-        pairs = [(path.resolve().name, path) for path in paths]
     named: dict[str, Path] = {}
-    for name, path in pairs:
+    for given in workspaces:
+        name, equals, folder = ("", "", given) if isinstance(given, Path) else given.partition("=")
+        path = Path(folder if equals else given)
+        name = checked_name(name if equals else path.resolve().name)
         Workspace.open(path)
-        if checked_name(name) in named:
-            raise SemvizError(f"{path}: {named[name]} is called '{name}', too; give NAME={path}")
+        if name in named:
+            raise SemvizError(f"{path}: {named[name]} is called '{name}', too; write NAME={path}")
         named[name] = path
     return named
 
@@ -165,7 +166,7 @@ def _key(name: str) -> str:
 
 
 def _taken(name: str) -> SemvizError:
-    return SemvizError(f"the collection has a drive '{name}' already; give NAME=WORKSPACE")
+    return SemvizError(f"the collection has a drive '{name}' already; write NAME=WORKSPACE")
 
 
 def _content(file: _File) -> bytes:

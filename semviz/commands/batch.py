@@ -175,7 +175,7 @@ class BatchLocalizeCommand(_DriveCommand):
     def _version(self, collection: "Collection") -> int | None:
         from semviz_core.map_tiles.manifest import versions
 
-        if "--map" in self.options:
+        if {"--map", "--collection"} & set(self.options):
             return None
         return self.map_version or max(versions(collection.store), default=None)
 

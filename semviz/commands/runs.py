@@ -17,8 +17,11 @@ from semviz_core.common.errors import SemvizError
 if TYPE_CHECKING:
     from semviz.runs.run import Run
     from semviz.runs.tables import Row
+    from semviz.workspace.measurements import MeasurementFiles
+    from semviz.workspace.workspace import Workspace
     from semviz_annotation.map_formats.conversion import ConversionTally
     from semviz_core.base.frame import Frame
+    from semviz_core.base.semantic_map import SemanticMap
     from semviz_core.metrics.pose_errors import Summary
 
 
@@ -35,6 +38,11 @@ class LocalizeCommand:
     """Run to write; default: runs/METHOD.rrd in the workspace, or runs/track.rrd with --track."""
     map: str = "main"
     """Name of the map."""
+    collection: parsing.OptionalText = None
+    """Localize in the map of a collection (a folder, or s3://BUCKET/PREFIX) instead of one of the
+    workspace; what is around the drive is read, and stored in the run."""
+    map_version: parsing.OptionalInt = None
+    """Version of the collection's map; default: the newest."""
     method: str = "search"
     """search (prior-guided upright search); learned (a wider search, with poses rated by a
     network); direct (matches by class alone); paper, paper-no-semantics, bpnpnet or
@@ -123,9 +131,12 @@ class LocalizeCommand:
             reads=[self.workspace, *given.reads],
             purpose="run",
         )
-        measured = given.files(self.heading_sigma_deg).read(workspace, workspace.read_map(self.map))
+        chosen = localize.select_frames(workspace.source, frames, self.camera)
+        files = given.files(self.heading_sigma_deg)
+        semantic_map, map_name = self._map(workspace, chosen, crop_radius, files)
+        measured = files.read(workspace, semantic_map)
         localization = localize.localize_workspace(
-            workspace, self.map, options, frames, calibration, measured, self.camera, self.jobs
+            workspace, semantic_map, options, frames, calibration, measured, self.camera, self.jobs
         )
         for note in measured.notes(localization.frames):
             print(note, file=sys.stderr)
@@ -137,18 +148,38 @@ class LocalizeCommand:
                 "lines for poles and points for rectangular signs",
                 file=sys.stderr,
             )
-        chosen = localize.select_frames(workspace.source, frames, self.camera)
         if left_out := len(chosen) - len(localization.frames):
             print(f"{left_out} frames without a pose are left out", file=sys.stderr)
         counts = localize.record(
             localization,
             path,
             workspace=str(self.workspace),
-            map_name=self.map,
+            map_name=map_name,
             images=self.images,
         )
         print_run(path, counts, self.json)
         return 0
+
+    def _map(
+        self,
+        workspace: "Workspace",
+        frames: "Sequence[Frame]",
+        crop_radius_m: float,
+        files: "MeasurementFiles",
+    ) -> "tuple[SemanticMap, str]":
+        """Return the map to localize in, and its name."""
+        from semviz.collection.collection import Collection
+        from semviz.collection.drive_map import map_along_drive
+
+        if self.collection is None:
+            if self.map_version is not None:
+                raise SemvizError("--map-version is for maps of collections; add --collection")
+            return workspace.read_map(self.map), self.map
+        if self.map != "main":
+            raise SemvizError("--map is for maps of the workspace; leave out --map or --collection")
+        tiles = Collection.open(self.collection).tiled_map(self.map_version)
+        found = map_along_drive(tiles, workspace, frames, crop_radius_m, files)
+        return found, f"{Path(self.collection).name} version {tiles.version}"
 
 
 def print_run(path: Path, counts: Mapping[str, int], as_json: bool) -> None:

@@ -246,7 +246,7 @@ def posed_frames(frames: tuple[Frame, ...]) -> tuple[Frame, ...]:
 
 def localize_workspace(
     workspace: Workspace,
-    map_name: str,
+    given_map: SemanticMap | str,
     options: LocalizeOptions,
     frames: range | None = None,
     calibration: DetectorCalibration | None = None,
@@ -254,17 +254,17 @@ def localize_workspace(
     camera: str | None = None,
     jobs: int = 1,
 ) -> SequenceLocalization:
-    """Return the localization of a workspace's frames (None: all) in its map ``map_name``.
+    """Return the localization of a workspace's frames (None: all) in a map, or its map of a name.
 
     Of a rig, those of one camera: see ``select_frames``. Frames without a pose are left out, unless
     their priors are ``measured``. ``calibration`` is that of the observed detections; without one,
     rates are assumed. ``jobs`` processes localize frames on their own.
     """
     again = partial(
-        _localize_again, workspace.path, map_name, options, frames, calibration, measured, camera
+        _localize_again, workspace.path, given_map, options, frames, calibration, measured, camera
     )
     source = workspace.source
-    semantic_map = workspace.read_map(map_name)
+    semantic_map = workspace.read_map(given_map) if isinstance(given_map, str) else given_map
     detector = (
         detector_model(options.observations)
         if calibration is None

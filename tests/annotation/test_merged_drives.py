@@ -172,7 +172,7 @@ def test_maps_with_places_on_earth_are_brought_into_one_frame(
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"frame": MapFrame("elsewhere")}, "is in the frame elsewhere, the first map in city"),
+        ({"frame": MapFrame("elsewhere")}, "is in the frame elsewhere, not in city"),
         ({"triangle_center": "centroid"}, "the centre of triangular signs is another"),
         (
             {"elements": Elements3D.from_ends([], np.zeros((0, 3)), np.zeros((0, 3)), [])},

@@ -31,7 +31,7 @@ def workspaces(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def test_drives_are_those_that_were_added(where: str, workspaces: list[Path]) -> None:
     may, june, july = workspaces
     Collection.create(where, [may])
-    Collection.open(where).add({"by night": july})
+    Collection.open(where).add([f"by night={july}"])
     assert Collection.open(where).add([june]) == (Drive("june", str(june)),)
     drives = (Drive("by night", str(july)), Drive("june", str(june)), Drive("may", str(may)))
     assert Collection.open(where).drives() == drives
@@ -47,11 +47,11 @@ def test_two_people_who_add_at_once_both_succeed(where: str, workspaces: list[Pa
 def test_a_name_is_given_once(where: str, workspaces: list[Path], tmp_path: Path) -> None:
     may, june, _ = workspaces
     collection = Collection.create(where, [may])
-    line = r"^the collection has a drive 'may' already; give NAME=WORKSPACE$"
+    line = r"^the collection has a drive 'may' already; write NAME=WORKSPACE$"
     with pytest.raises(SemvizError, match=line):
         collection.add([june, may])
     shutil.copytree(may, tmp_path / "may")
-    with pytest.raises(SemvizError, match=f"{may} is called 'may', too; give NAME="):
+    with pytest.raises(SemvizError, match=f"{may} is called 'may', too; write NAME="):
         collection.add([may, tmp_path / "may"])
     assert [drive.name for drive in collection.drives()] == ["may"]
 

@@ -26,8 +26,8 @@ from semviz_core.map_tiles.manifest import (
 
 CELL_M = 200
 """Side of a cell: a crop of 120 m reads nine tiles at most, and few elements that it leaves out."""
-OnTile = Callable[[int, int], None]
-"""Is told how many tiles are done, of how many."""
+OnProgress = Callable[[str, int, int], None]
+"""Is told what is done, how many parts of it, and of how many."""
 
 
 def publish_map(
@@ -35,7 +35,7 @@ def publish_map(
     semantic_map: SemanticMap,
     parent: int | None,
     by: str,
-    on_tile: OnTile = lambda done, of: None,
+    on_progress: OnProgress = lambda what, done, of: None,
 ) -> Manifest:
     """Publish a map as the version after ``parent``, from which it was made; None: as the first.
 
@@ -53,9 +53,9 @@ def publish_map(
         cell_m = before.cell_m
     cut = _Cut.of(semantic_map, cell_m)
     tiles = []
-    for done, (cell, part) in enumerate(cut.parts()):
-        on_tile(done, len(cut.cells))
+    for done, (cell, part) in enumerate(cut.parts(), 1):
         file, size = writer.write(part)
+        on_progress("tiles", done, len(cut.cells))
         tiles.append(
             Tile(
                 cell=cell,

@@ -111,16 +111,16 @@ def merge_maps(
     return MergedDrives(_merged(given, merging), _report(names, merging, options), merging)
 
 
-def _in_frame(semantic_map: SemanticMap, frame: MapFrame, name: str) -> SemanticMap:
-    """Return a map in another frame, by the places of both on earth. Raise SemvizError if they
-    differ and these are not known."""
+def in_frame(semantic_map: SemanticMap, frame: MapFrame, name: str) -> SemanticMap:
+    """Return a map, which errors call ``name``, in another frame, by the places of both on earth.
+    Raise SemvizError if the frames differ and these are not known."""
     own = semantic_map.frame
     if own == frame or (own.name == frame.name and None in (own.origin, frame.origin)):
         return semantic_map
     if own.origin is None or frame.origin is None:
         raise SemvizError(
-            f"{name}: is in the frame {own.name}, the first map in {frame.name}; give both a "
-            "georeference, or build them from drives with poses in one frame"
+            f"{name}: is in the frame {own.name}, not in {frame.name}; give both a georeference, "
+            "or build them from drives with poses in one frame"
         )
     T_own_earth = map_on_earth(own.origin, own.x_heading_deg)
     T_frame_own = map_on_earth(frame.origin, frame.x_heading_deg) @ T_own_earth.inverse()
@@ -145,7 +145,7 @@ def _alike(maps: Mapping[str, SemanticMap]) -> list[SemanticMap]:
                 f"{name}: the centre of triangular signs is another than in {first_name}; build "
                 "one of the maps again"
             )
-    return [_in_frame(one, first.frame, name) for name, one in maps.items()]
+    return [in_frame(one, first.frame, name) for name, one in maps.items()]
 
 
 def _merged(maps: Sequence[SemanticMap], merging: Merging) -> SemanticMap:
