@@ -55,9 +55,7 @@ def publish_merged(batch: Batch, errors: PoseErrors, on_progress: OnProgress) ->
     if newest is not None:
         parent = newest.map_version
         merged = with_former_ids(merged, TiledMap.open(batch.store, parent).whole())
-    manifest = publish_map(
-        batch.store, merged, parent, by, lambda done, of: on_progress("publishing", done, of)
-    )
+    manifest = publish_map(batch.store, merged, parent, by, on_progress)
     return Published(manifest.map_version, manifest.elements, lines)
 
 
