@@ -28,7 +28,16 @@ ROOTS = {
     "semviz_core": REPOSITORY / "core" / "semviz_core",
     "semviz_annotation": REPOSITORY / "annotation" / "semviz_annotation",
 }
-EXTRAS = ("torch", "open3d", "onnxruntime", "transformers", "lanelet2", "pycolmap", "rosbags")
+EXTRAS = (
+    "torch",
+    "open3d",
+    "onnxruntime",
+    "transformers",
+    "lanelet2",
+    "pycolmap",
+    "rosbags",
+    "s3fs",
+)
 """Libraries that are imported only where somebody asked for what needs them."""
 WITHOUT_EXTRAS = f"""
 from importlib.machinery import PathFinder
@@ -263,6 +272,7 @@ def town(scripts: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("detect train --out new", "semviz detect train needs torch: pip install 'semviz[train]'"),
         ("train paper --out new", "semviz train needs torch: pip install 'semviz[train]'"),
         ("weights old --out new", "semviz weights needs torch: pip install 'semviz[train]'"),
+        ("collection create s3://a/new", "s3://a/new needs s3fs: pip install 'semviz[cloud]'"),
         ("benchmark --methods pycolmap --out new", "pycolmap: pip install 'semviz[peers]'"),
     ],
 )

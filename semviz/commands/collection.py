@@ -1,8 +1,8 @@
 """The commands collection create, add, show, publish and export."""
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +12,7 @@ from semviz.commands import parsing
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
-    from semviz.collection.collection import Collection
+    from semviz.collection.collection import Collection, Drive
     from semviz_core.base.semantic_map import SemanticMap
     from semviz_core.map_tiles.manifest import Manifest
 
@@ -31,12 +31,14 @@ class CollectionCreateCommand:
 
     collection: Where
     workspaces: Drives = ()
+    json: bool = False
+    """Print one JSON object instead of lines: the drives."""
 
     def run(self) -> int:
         from semviz.collection.collection import Collection
 
         collection = Collection.create(self.collection, self.workspaces)
-        print(f"{collection.where}: {len(self.workspaces)} drives")
+        _print_drives(collection.drives(), self.json)
         return 0
 
 
@@ -48,11 +50,11 @@ class CollectionAddCommand:
 
     collection: Where
     workspaces: Drives
+    json: bool = False
+    """Print one JSON object instead of lines: the drives that were added."""
 
     def run(self) -> int:
-        collection = _open(self.collection)
-        for drive in collection.add(self.workspaces):
-            print(f"{drive.name}: {drive.workspace}")
+        _print_drives(_open(self.collection).add(self.workspaces), self.json)
         return 0
 
 
@@ -73,11 +75,10 @@ class CollectionShowCommand:
         drives, there = collection.drives(), versions(collection.store)
         newest = _described(read_manifest(collection.store)) if there else None
         if self.json:
-            told = [{"name": drive.name, "workspace": drive.workspace} for drive in drives]
+            told = [asdict(drive) for drive in drives]
             print(json.dumps({"drives": told, "versions": there, "map": newest}))
             return 0
-        for drive in drives:
-            print(f"{drive.name}: {drive.workspace}")
+        _print_drives(drives, as_json=False)
         print(f"{len(drives)} drives; " + ("no map" if newest is None else _map_line(newest)))
         return 0
 
@@ -139,6 +140,8 @@ class CollectionExportCommand:
     """X,Y: centre of the part, in metres of the map's frame. Default: the whole map."""
     radius_m: float = 200.0
     """Radius of the part around --near."""
+    json: bool = False
+    """Print one JSON object instead of a line."""
 
     def run(self) -> int:
         from semviz.workspace.outputs import PARQUET, check_outputs
@@ -151,6 +154,10 @@ class CollectionExportCommand:
         tiles = _open(self.collection).tiled_map(self.version)
         part = tiles.whole() if center is None else tiles.along([center], self.radius_m)
         save_map(part, self.file)
+        if self.json:
+            told = {"map": str(self.file), "version": tiles.version, "elements": len(part)}
+            print(json.dumps(told))
+            return 0
         print(f"{self.file}: {len(part)} of {len(tiles)} elements of version {tiles.version}")
         return 0
 
@@ -159,6 +166,14 @@ def _open(where: str) -> "Collection":
     from semviz.collection.collection import Collection
 
     return Collection.open(where)
+
+
+def _print_drives(drives: "Sequence[Drive]", as_json: bool) -> None:
+    if as_json:
+        print(json.dumps({"drives": [asdict(drive) for drive in drives]}))
+        return
+    for drive in drives:
+        print(f"{drive.name}: {drive.workspace}")
 
 
 def _place(text: str) -> tuple[float, float]:

@@ -54,7 +54,7 @@ def test_a_collection_from_first_to_last(
 ) -> None:
     city, june = tmp_path / "city", tmp_path / "june"
     shutil.copytree(street, june)
-    assert call(capsys, "collection", "create", city, street)[1] == f"{city}: 1 drives\n"
+    assert call(capsys, "collection", "create", city, street)[1] == f"may: {street}\n"
     _, output, _ = call(capsys, "collection", "show", city)
     assert output == f"may: {street}\n1 drives; no map\n"
     assert call(capsys, "collection", "add", city, f"by night={june}")[0] == 0
