@@ -60,18 +60,16 @@ def publish_merged(batch: Batch, errors: PoseErrors, on_progress: OnProgress) ->
 
 
 def _maps(batch: Batch, on_progress: OnProgress) -> dict[str, SemanticMap]:
-    """Return the maps of the drives, by name; those without an element are left out."""
+    """Return the maps of the drives, by name. Raise SemvizError if there is none."""
     names, maps = batch.drives_with("maps"), {}
+    if not names:
+        raise SemvizError(f"batch {batch.name}: no map was built, so nothing is published")
     with tempfile.TemporaryDirectory(prefix="semviz-batch-") as folder:
         path = Path(folder) / "map.parquet"
         for number, name in enumerate(names):
             on_progress("reading maps", number, len(names))
             batch.store.fetch(batch.output("maps", name), path)
-            one = load_map(path)
-            if len(one):
-                maps[name] = one
-    if not maps:
-        raise SemvizError(f"batch {batch.name}: no drive has a map with an element")
+            maps[name] = load_map(path)
     return maps
 
 
