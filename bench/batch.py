@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tests_support
 import tyro
 
 from semviz.batch.batch import Batch, BatchCommand, Plan
@@ -52,7 +51,7 @@ def waiting_command(command: BatchCommand, arguments: list[str]) -> int:
 def main(options: Options) -> None:
     from ray.cluster_utils import Cluster as Machines
 
-    os.environ["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).parent), tests_support.TESTS])
+    os.environ["PYTHONPATH"] = str(Path(__file__).parent)  # of the workers
     machines = Machines(head_node_args={"num_cpus": 0, "include_dashboard": False})
     for _ in range(options.machines):
         machines.add_node(num_cpus=options.cores)
@@ -77,9 +76,9 @@ def done(machines: Any, options: Options, seconds: Sequence[float], losses: int)
     with tempfile.TemporaryDirectory() as folder:
         collection = Collection.create(Path(folder) / "city")
         batch = Batch.begin(collection, "june", Plan("localize"))
-        work, start_s, ended = Work(collection.where, "june", waiting_command), time.monotonic(), 0
-        for _ in Cluster(machines.address).run(work, drives, again.append):
-            ended += 1
+        work, start_s = Work(collection.where, "june", waiting_command), time.monotonic()
+        outcomes = Cluster(machines.address).run(work, drives, again.append)
+        for ended, _ in enumerate(outcomes, start=1):
             if losses and ended % (len(drives) // (losses + 1)) == 0 and ended < len(drives):
                 lose_one(machines, options.cores)
         took_s = time.monotonic() - start_s
