@@ -28,10 +28,13 @@ from semviz_core.map_tiles.manifest import (
 
 CELL_M = 200
 """Side of a cell: a crop of 120 m reads nine tiles at most, and few elements that it leaves out."""
-_NONE: IntArray = np.zeros(0, np.int64)
 WRITERS = 8
+"""Threads that write tiles."""
 OnProgress = Callable[[str, int, int], None]
 """Is told what is done, how many parts of it, and of how many."""
+
+
+_NONE: IntArray = np.zeros(0, np.int64)
 
 
 def publish_map(
