@@ -28,7 +28,7 @@ from support.point_tracks import (
 from semviz_core.base.frame import Frame
 from semviz_core.base.pose import Pose, so3_exp
 from semviz_core.pose_checks import pose_covariance as pose_covariance_module
-from semviz_core.pose_checks.comparison import PoseComparison, RigErrors
+from semviz_core.pose_checks.comparison import DrivePoses, PoseComparison, RigErrors
 from semviz_core.pose_checks.faults import PoseCheck, check_drive, pose_covariance, refined_frames
 from semviz_core.pose_checks.image_motions import (
     ImageMotions,
@@ -40,6 +40,9 @@ from semviz_core.pose_checks.motion import MOTION, measure_motion
 from semviz_core.pose_checks.pose_covariance import PoseCovariance
 from semviz_core.pose_checks.tracks import PointTracks
 from semviz_core.pose_checks.variance_components import variance_components
+from semviz_core.pose_checks.whole_drive import corrected_time
+from semviz_core.simulation.layout import StreetOptions
+from semviz_core.simulation.street import Street
 
 COUNT = 36
 MOST_DEG = 0.05
@@ -153,6 +156,18 @@ def test_healthy_drives_are_not_accused(seed: int, sigmas: tuple[float, float]) 
     assert worst_deg(frames, refined_frames(check)) < max(MOST_DEG, 2.0 * sigmas[1])
 
 
+def test_a_turned_start_in_noisy_poses_is_not_late_and_late_poses_are() -> None:
+    """On a road that is nearly straight, noise can suit another time."""
+    frames, rig = Street(2006, StreetOptions(40)).frames, stereo_rig()
+    motions = motions_of(tracks_of_drive(frames, rig, np.random.default_rng(0)), frames, rig)
+    late, turned = "one frame late", "first 12 frames turned, 0.7 deg"
+    for seed, fault in ((16, turned), (30, turned), (82, turned), (1, late), (2, late), (3, late)):
+        rng = np.random.default_rng(seed)
+        planted = POSE_FAULTS[fault][0](noisy(frames, 0.01, 0.02, rng), rng)
+        correction = corrected_time(DrivePoses.of(planted.frames), motions)
+        assert (correction is not None) == (fault == late)
+
+
 @pytest.mark.parametrize("first", [0, 14])
 def test_errors_of_refined_poses_are_correlated_and_grow_away_from_the_given_ones(
     first: int,
@@ -189,6 +204,13 @@ def test_errors_of_refined_poses_are_those_of_all_given_poses_around_them(assume
     refined = np.linalg.solve(H, (weight.ravel() * alone + motion @ steps / 0.01).T).T
     used = np.where(np.repeat(poses.refined, 6), refined, alone)
     assert np.allclose(poses.at(row), used.T @ used / len(used), atol=0.002)
+
+
+def test_a_drive_that_is_refined_as_a_whole_is_held_by_its_corrected_poses() -> None:
+    frames, _, motions = healthy_drive(3)
+    late = POSE_FAULTS["one frame late"][0](frames, np.random.default_rng(0)).frames
+    poses = pose_covariance(check_drive(late, motions, stereo_rig()), range(COUNT))
+    assert np.diag(poses.at(np.arange(COUNT))).max() < 0.05**2
 
 
 def test_a_refined_pose_is_stated_alike_with_given_poses_from_farther_away(
