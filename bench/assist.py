@@ -3,6 +3,7 @@
     python bench/assist.py [--quick]        figures, on held-out seeds
     python bench/assist.py --fit            the weights of semviz_annotation.assist.score
     python bench/assist.py --only follow --kitti /data/kitti    real images too
+    python bench/assist.py --only follow --seeds 1012 1013      other streets
 
 Baseline with the same windows: template matching (NCC) along the epipolar line. Poses of streets
 have errors, the same for both cameras of a frame. Marks are followed from frame to frame as people
@@ -10,8 +11,10 @@ work: what is sure is accepted unseen; see ``followed``.
 """
 
 import argparse
+import sys
 import time
 from collections import defaultdict
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -38,7 +41,9 @@ KITTI_RUNS = (range(20), range(19, -1, -1), range(4, 20, 2))
 """Towards the elements, away from them, and at twice the speed."""
 
 
-def answers(seeds: range, quick: bool, only: str = "", kitti: Path | None = None) -> list[Answer]:
+def answers(
+    seeds: Sequence[int], quick: bool, only: str = "", kitti: Path | None = None
+) -> list[Answer]:
     result: list[Answer] = []
     for seed in seeds:
         street, rng = Street(seed), np.random.default_rng(seed)
@@ -69,7 +74,9 @@ def print_figures(all_answers: list[Answer]) -> None:
     for answer in all_answers:
         if not answer.way:
             by_kind[answer.what].append(answer)
-    print_followed([row for row in all_answers if row.way])
+    followed = [row for row in all_answers if row.way]
+    if followed:
+        print_followed(followed)
     for what in sorted(by_kind):
         rows = by_kind[what]
         print(f"\n{what}")
@@ -131,21 +138,26 @@ def print_found(rows: list[Answer]) -> None:
 
 
 def print_followed(rows: list[Answer]) -> None:
-    """By drive and class: all proposals, how many are sure, and how many of these are right."""
-    for way in sorted({row.way for row in rows}):
-        print(f"\nfollowed, {way}")
-        for name in sorted({row.name for row in rows if row.way == way}):
-            of = [row for row in rows if row.way == way and row.name == name and row.best]
-            sure = [row for row in of if row.score >= SURE]
-            right = np.mean([row.error_px <= 2.0 for row in sure]) if sure else np.nan
-            ends = np.mean([row.ends_right for row in sure]) if sure else np.nan
-            print(
-                f"  {name:<17} {len(of):>5}: within 2 px "
-                f"{np.mean([row.error_px <= 2.0 for row in of]):.1%}; sure "
-                f"{len(sure) / len(of):.1%} ({len(sure)}), of these right {right:.1%}, "
-                f"ends of poles {ends:.1%}"
-            )
-            print_shares(np.array([row.score for row in of]), np.array([_right(row) for row in of]))
+    """By drive and class: all proposals, the sure ones, and what is right by stated score."""
+    stated = [f"{low:g}-{min(high, 1):g}" for low, high in pairwise(SAID[1:])]
+    head = ["drive", "class", "proposals", "within 2 px", "sure", "of these within 2 px", *stated]
+    print(f"| {' | '.join(head)} |")
+    print("|---|---|" + "--:|" * (4 + len(stated)))
+    for way, name in sorted({(row.way, row.name) for row in rows}):
+        of = [row for row in rows if (row.way, row.name) == (way, name) and row.best]
+        said = np.array([row.score for row in of])
+        right = np.array([row.error_px <= 2.0 for row in of])
+        bins = [(said >= low) & (said < high) for low, high in pairwise(SAID[1:])]
+        shares = [share(right[one]) for one in (said >= SURE, *bins)]
+        cells = [way, name, str(len(of)), f"{right.mean():.1%}", f"{np.mean(said >= SURE):.0%}"]
+        print(f"| {' | '.join(cells + shares)} |")
+        ends = [row.ends_right for row in of if row.score >= SURE and name == "pole"]
+        if ends:
+            print(f"ends of sure poles of {way}: right {np.mean(ends):.1%}", file=sys.stderr)
+
+
+def share(right: BoolArray) -> str:
+    return f"{right.mean():.1%} ({len(right)})" if len(right) else "-"
 
 
 def print_reliability(rows: list[Answer]) -> None:
@@ -220,6 +232,7 @@ def fitted(X: FloatArray, y: FloatArray) -> FloatArray:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="two streets instead of twelve")
+    parser.add_argument("--seeds", type=int, nargs="*", help="other streets than the twelve")
     parser.add_argument("--fit", action="store_true", help="fit the weights instead")
     parser.add_argument("--only", choices=["snap", "partner", "follow"], default="")
     parser.add_argument("--kitti", type=Path, help="folder of KITTI odometry")
@@ -228,8 +241,8 @@ def main() -> None:
     if arguments.fit:
         print_fit(answers(FIT_SEEDS, False, arguments.only, arguments.kitti))
         return
-    seeds = HELD_OUT_SEEDS[: 2 if arguments.quick else None]
-    print(f"simulated streets, seeds {seeds[0]} to {seeds[-1]}; nearer than {FAR_M:.0f} m")
+    seeds = arguments.seeds or HELD_OUT_SEEDS[: 2 if arguments.quick else None]
+    print(f"simulated streets, seeds {', '.join(map(str, seeds))}; nearer than {FAR_M:.0f} m")
     print_figures(answers(seeds, arguments.quick, arguments.only, arguments.kitti))
     print_times()
 

@@ -32,8 +32,8 @@ from semviz_core.base.semantic_map import footprint_covariance_m2, footprint_m
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.rig_cameras import DatasetWithFrames
-from semviz_core.pose_checks.faults import PoseCheck, check_drive, pose_information, refined_frames
-from semviz_core.pose_checks.refinement import PoseInformation
+from semviz_core.pose_checks.faults import PoseCheck, check_drive, pose_covariance, refined_frames
+from semviz_core.pose_checks.pose_covariance import PoseCovariance
 from semviz_core.simulation.layout import StreetOptions
 from semviz_core.simulation.street import Street
 
@@ -61,7 +61,7 @@ def errors(
     true_id: dict[str, int],
     frames: Sequence[Frame],
     inside: set[int],
-    poses: PoseInformation | None,
+    poses: PoseCovariance | None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return error (m), squared normalized error and degrees of freedom of elements concerned."""
     try:
@@ -120,7 +120,7 @@ def main() -> None:
             assert planted.first is not None
             assert planted.last is not None
             inside = set(range(planted.first, planted.last + 1))
-            known = pose_information(check, wrong_frames(check))
+            known = pose_covariance(check, wrong_frames(check))
             for poses, frames, information in (
                 ("given", planted.frames, None),
                 ("refined", repaired(check), known),

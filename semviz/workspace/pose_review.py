@@ -37,7 +37,7 @@ from semviz_core.datasets.rig_cameras import DatasetWithFrames, cameras_by_frame
 from semviz_core.datasets.validation import Calibration
 from semviz_core.pose_checks import faults, image_motions
 from semviz_core.pose_checks.comparison import rows_of_runs
-from semviz_core.pose_checks.refinement import PoseInformation
+from semviz_core.pose_checks.pose_covariance import PoseCovariance
 
 FILE = "image_motions.safetensors"
 MIN_FRAMES = 3
@@ -84,7 +84,7 @@ def known_check(workspace: Workspace) -> faults.PoseCheck | None:
     return check if check.is_checked else None
 
 
-def pose_errors(workspace: Workspace) -> PoseInformation | None:
+def pose_errors(workspace: Workspace) -> PoseCovariance | None:
     """Return the errors of the poses used now, as images show them; None if the motions of the
     images are not known."""
     check = known_check(workspace)
@@ -92,7 +92,7 @@ def pose_errors(workspace: Workspace) -> PoseInformation | None:
         return None
     pairs = zip(workspace.given_source.frames, workspace.source.frames, strict=True)
     refined = [now.index for given, now in pairs if now is not given and not now.left_out]
-    return faults.pose_information(check, refined)
+    return faults.pose_covariance(check, refined)
 
 
 def _require_poses(workspace: Workspace, frames: Sequence[Frame]) -> None:

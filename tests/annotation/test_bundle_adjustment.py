@@ -21,7 +21,7 @@ from semviz_annotation.mapping.placement.triangulation import (
     triangulate_landmarks,
 )
 from semviz_core.common.errors import SemvizError
-from semviz_core.pose_checks.refinement import PoseInformation
+from semviz_core.pose_checks.pose_covariance import PoseCovariance
 
 POSES = (0.03, float(np.deg2rad(0.05)))
 OPTIONS = RefineOptions(PlaceOptions(), pose_sigma_m=0.03, pose_sigma_deg=0.05)
@@ -110,9 +110,9 @@ def test_covariances_include_the_errors_of_poses_that_stay():
         world = drive(25, landmarks=80, seed=seed, sigma_px=1.0, pose_sigma=POSES)
         placed = triangulate_landmarks(world.views, world.observations)
         frames = np.unique(world.views.frame_index)
-        information = np.diag(np.repeat(POSES, 3) ** -2.0)
-        poses = PoseInformation(
-            frames, np.tile(information, (len(frames), 1, 1)), np.zeros((len(frames) - 1, 6, 6))
+        n, none = len(frames), np.zeros((len(frames), 6, 6))
+        poses = PoseCovariance(
+            frames, np.zeros(n, bool), np.repeat(POSES, 3) ** 2, none[:, 0], none, none[1:]
         )
         with_poses = with_pose_errors(
             world.views, world.observations, placed, PlaceOptions(), poses

@@ -27,8 +27,9 @@ from support.point_tracks import (
 
 from semviz_core.base.frame import Frame
 from semviz_core.base.pose import Pose, so3_exp
-from semviz_core.pose_checks.comparison import PoseComparison, RigErrors
-from semviz_core.pose_checks.faults import PoseCheck, check_drive, pose_information, refined_frames
+from semviz_core.pose_checks import pose_covariance as pose_covariance_module
+from semviz_core.pose_checks.comparison import DrivePoses, PoseComparison, RigErrors
+from semviz_core.pose_checks.faults import PoseCheck, check_drive, pose_covariance, refined_frames
 from semviz_core.pose_checks.image_motions import (
     ImageMotions,
     load_motions,
@@ -36,8 +37,12 @@ from semviz_core.pose_checks.image_motions import (
     save_motions,
 )
 from semviz_core.pose_checks.motion import MOTION, measure_motion
+from semviz_core.pose_checks.pose_covariance import PoseCovariance
 from semviz_core.pose_checks.tracks import PointTracks
 from semviz_core.pose_checks.variance_components import variance_components
+from semviz_core.pose_checks.whole_drive import corrected_time
+from semviz_core.simulation.layout import StreetOptions
+from semviz_core.simulation.street import Street
 
 COUNT = 36
 MOST_DEG = 0.05
@@ -151,31 +156,78 @@ def test_healthy_drives_are_not_accused(seed: int, sigmas: tuple[float, float]) 
     assert worst_deg(frames, refined_frames(check)) < max(MOST_DEG, 2.0 * sigmas[1])
 
 
+def test_a_turned_start_in_noisy_poses_is_not_late_and_late_poses_are() -> None:
+    """On a road that is nearly straight, noise can suit another time."""
+    frames, rig = Street(2006, StreetOptions(40)).frames, stereo_rig()
+    motions = motions_of(tracks_of_drive(frames, rig, np.random.default_rng(0)), frames, rig)
+    late, turned = "one frame late", "first 12 frames turned, 0.7 deg"
+    for seed, fault in ((16, turned), (30, turned), (82, turned), (1, late), (2, late), (3, late)):
+        rng = np.random.default_rng(seed)
+        planted = POSE_FAULTS[fault][0](noisy(frames, 0.01, 0.02, rng), rng)
+        correction = corrected_time(DrivePoses.of(planted.frames), motions)
+        assert (correction is not None) == (fault == late)
+
+
 @pytest.mark.parametrize("first", [0, 14])
 def test_errors_of_refined_poses_are_correlated_and_grow_away_from_the_given_ones(
     first: int,
 ) -> None:
     frames, _, motions = healthy_drive(3)
-    refined = range(first, first + 10)
-    information = pose_information(check_drive(frames, motions, stereo_rig()), refined)
-    rows = np.array([0, 5, first + 4, first + 5, 30])
-    n = len(frames)
-    whole = np.zeros((6 * n, 6 * n))
-    for row in range(n):
-        whole[6 * row : 6 * row + 6, 6 * row : 6 * row + 6] = information.diagonal[row]
-    for row, block in enumerate(information.upper):
-        here, after = slice(6 * row, 6 * row + 6), slice(6 * row + 6, 6 * row + 12)
-        whole[here, after], whole[after, here] = block, block.T
-    chosen = (6 * rows[:, None] + np.arange(6)).ravel()
-    expected = np.linalg.inv(whole)[np.ix_(chosen, chosen)]
-    assert np.allclose(information.covariance(rows), expected, rtol=1e-6, atol=1e-12)
-    sigma = np.array([np.sqrt(np.diag(information.covariance(np.array([k])))) for k in range(n)])
-    given = np.delete(sigma, [*refined, first - 1, first + 10], axis=0)
-    assert np.ptp(given, axis=0).max() < 1e-9
+    wrong = range(first, first + 10)
+    turn = Pose(so3_exp(np.array([0.0, 0.02, 0.0])), np.zeros(3))
+    planted = moved(frames, lambda row, pose: pose @ turn if row in wrong else pose)
+    poses = pose_covariance(check_drive(planted, motions, stereo_rig()), wrong)
+    sigma = np.array([np.sqrt(np.diag(poses.at(np.array([k])))) for k in range(len(frames))])
+    others = np.delete(sigma, list(wrong), axis=0)
+    assert np.ptp(others, axis=0).max() < 1e-9
     farthest = first if first == 0 else first + 4
-    assert (sigma[farthest] > [1.15, 1.15, 1.15, 1.0, 1.0, 1.0] * sigma[first + 9]).all()
-    both = information.covariance(np.array([first + 4, first + 5]))
+    assert (sigma[farthest] > sigma[first + 9]).all()
+    both = poses.at(np.array([first + 4, first + 5]))
     assert both[0, 6] > 0.5 * both[0, 0]
+
+
+@pytest.mark.parametrize("assumed", [0.5, 1.0, 3.0])
+def test_errors_of_refined_poses_are_those_of_all_given_poses_around_them(assumed: float) -> None:
+    """Many drives with errors as stated, whatever sigma of given poses the refinement assumed."""
+    rng, n, variance, wrong = np.random.default_rng(5), 12, np.full(6, 0.04), np.arange(4, 8)
+    weight = np.tile(1.0 / (assumed**2 * variance), (n, 1))
+    weight[wrong] = 0.0
+    steps = np.eye(6 * (n - 1), 6 * n) - np.eye(6 * (n - 1), 6 * n, 6)
+    H = np.diag(weight.ravel()) + steps.T @ steps / 0.01
+    blocks = H.reshape(n, 6, n, 6).transpose(0, 2, 1, 3)
+    row = np.arange(n)
+    poses = PoseCovariance(
+        row, np.isin(row, wrong), variance, weight, blocks[row, row], blocks[row[:-1], row[1:]]
+    )
+    alone = rng.normal(0.0, 0.2, (20_000, 6 * n))
+    motion = rng.normal(0.0, 0.1, (20_000, 6 * (n - 1)))
+    refined = np.linalg.solve(H, (weight.ravel() * alone + motion @ steps / 0.01).T).T
+    used = np.where(np.repeat(poses.refined, 6), refined, alone)
+    assert np.allclose(poses.at(row), used.T @ used / len(used), atol=0.002)
+
+
+def test_a_drive_that_is_refined_as_a_whole_is_held_by_its_corrected_poses() -> None:
+    frames, _, motions = healthy_drive(3)
+    late = POSE_FAULTS["one frame late"][0](frames, np.random.default_rng(0)).frames
+    poses = pose_covariance(check_drive(late, motions, stereo_rig()), range(COUNT))
+    assert np.diag(poses.at(np.arange(COUNT))).max() < 0.05**2
+
+
+def test_a_refined_pose_is_stated_alike_with_given_poses_from_farther_away(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    n, held = 300, np.ones((300, 6))
+    held[100:200] = 0.0
+    step = np.full((n - 1, 6, 6), 50.0 * np.eye(6))
+    diagonal = held[:, :, None] * np.eye(6)
+    diagonal[1:] += step
+    diagonal[:-1] += step
+    poses = PoseCovariance(np.arange(n), held[:, 0] == 0.0, np.full(6, 0.5), held, diagonal, -step)
+    rows = np.array([90, 120, 199, 205])
+    near = poses.at(rows)
+    assert 0.01 < near[0, 6] / near[6, 6] < 1.0
+    monkeypatch.setattr(pose_covariance_module, "REACH_FRAMES", n)
+    assert np.allclose(near, poses.at(rows), rtol=0.01, atol=1e-3)
 
 
 @pytest.mark.parametrize("share", [0.05, 0.3, 1.0, 4.0])

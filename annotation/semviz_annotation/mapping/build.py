@@ -42,7 +42,7 @@ from semviz_core.base.semantic_map import Decision, Provenance, SemanticMap
 from semviz_core.common.arrays import IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.jit import Stopwatch
-from semviz_core.pose_checks.refinement import PoseInformation
+from semviz_core.pose_checks.pose_covariance import PoseCovariance
 
 PART_ID = 1_000_000
 """A landmark split off a label element has the id ``PART_ID`` * part + number."""
@@ -322,7 +322,7 @@ def build_map(
     on_progress: OnProgress = lambda what, done, of: None,
     detections: Proposals | None = None,
     tracking: TrackOptions = DEFAULT_TRACKING,
-    poses: PoseInformation | None = None,
+    poses: PoseCovariance | None = None,
     watch: Stopwatch | None = None,
 ) -> tuple[SemanticMap, BuildReport]:
     """Return the map of elements labelled in two or more images of ``frames`` (None: all).
@@ -412,7 +412,7 @@ def rebuild_map(
     source: Dataset,
     on_progress: OnProgress = lambda what, done, of: None,
     detections: Proposals | None = None,
-    poses: PoseInformation | None = None,
+    poses: PoseCovariance | None = None,
 ) -> tuple[SemanticMap, BuildReport]:
     """Return the map of the present labels, built like ``old``; ``poses`` as in ``build_map``.
 

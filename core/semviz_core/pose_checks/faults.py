@@ -25,7 +25,8 @@ from semviz_core.pose_checks.comparison import (
     rows_of_runs,
 )
 from semviz_core.pose_checks.image_motions import ImageMotions
-from semviz_core.pose_checks.refinement import PoseInformation, PoseRefinement, refine, stretches
+from semviz_core.pose_checks.pose_covariance import PoseCovariance
+from semviz_core.pose_checks.refinement import PoseRefinement, refine, stretches
 
 FaultKind: TypeAlias = Literal[
     "axes", "time", "heights", "baseline", "right image", "frozen", "turned", "shifted"
@@ -339,11 +340,10 @@ def suspicions(frames: Sequence[Frame]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def pose_information(check: PoseCheck, refined: Collection[int]) -> PoseInformation:
-    """Return what is known of the errors of poses if the frames ``refined`` have refined ones."""
+def pose_covariance(check: PoseCheck, refined: Collection[int]) -> PoseCovariance:
+    """Return the errors of the poses if the frames ``refined`` have refined ones."""
     index = np.array([frame.index for frame in check.frames], dtype=np.int64)
-    is_refined = np.isin(index, list(refined))
-    return PoseInformation.of(index, is_refined, check.refinement.poses, check.comparison)
+    return PoseCovariance.of(index, refined, check.refinement, check.comparison)
 
 
 def refined_frames(check: PoseCheck) -> tuple[Frame, ...]:

@@ -16,7 +16,7 @@ from scipy.sparse.linalg import splu
 
 from semviz_core.base.frame import adjoint
 from semviz_core.base.pose import Pose, so3_exp
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray
 from semviz_core.pose_checks.comparison import (
     MAD_TO_SIGMA,
     DrivePoses,
@@ -285,7 +285,8 @@ def _normals(
     return diagonal, upper, right
 
 
-def _matrix(diagonal: FloatArray, upper: FloatArray) -> coo_matrix:
+def block_tridiagonal(diagonal: FloatArray, upper: FloatArray) -> coo_matrix:
+    """Return the symmetric (6 n, 6 n) with blocks (n, 6, 6) and, beside them, (n - 1, 6, 6)."""
     n = len(diagonal)
     rows, columns, values = [], [], []
     grid_i, grid_j = np.meshgrid(np.arange(6), np.arange(6), indexing="ij")
@@ -311,7 +312,7 @@ def _adjusted(
 ) -> DrivePoses:
     """Return the poses after one step of Gauss and Newton."""
     diagonal, upper, right = _normals(at, start, measured, comparison, prior, weight)
-    step = splu(_matrix(diagonal, upper).tocsc()).solve(right.ravel()).reshape(-1, 6)
+    step = splu(block_tridiagonal(diagonal, upper).tocsc()).solve(right.ravel()).reshape(-1, 6)
     R = at.rotation @ np.array([so3_exp(turn) for turn in step[:, 3:]])
     c = at.center_m + np.einsum("nij,nj->ni", at.rotation, step[:, :3])
     return replace(at, rotation=R, center_m=c)
@@ -336,55 +337,6 @@ def _sigmas(
     position = np.linalg.eigvalsh(covariance[:, :3, :3])[:, -1]
     turn = np.linalg.eigvalsh(covariance[:, 3:, 3:])[:, -1]
     return np.asarray(np.sqrt(np.maximum(np.column_stack([position, turn]), 0.0)))
-
-
-@dataclass(frozen=True, eq=False)
-class PoseInformation:
-    """Information matrix of the errors of n poses: block tridiagonal, as neighbours are correlated.
-
-    Errors are right perturbations of T_map_camera, in camera axes: m, then rad.
-    """
-
-    frame_index: IntArray
-    """(n,) ascending"""
-    diagonal: FloatArray
-    """(n, 6, 6)"""
-    upper: FloatArray
-    """(n - 1, 6, 6)"""
-
-    @classmethod
-    def of(
-        cls, frame_index: IntArray, refined: BoolArray, at: DrivePoses, comparison: PoseComparison
-    ) -> "PoseInformation":
-        """Return that of poses of which those in ``refined`` (n,) follow from images alone.
-
-        Errors of the others are independent. These and the errors of measured motions are as large
-        as the pairs of the others show.
-        """
-        n = len(at)
-        concerned = refined[:-1] | refined[1:]
-        known = variance_components(comparison, comparison.compared & ~concerned)
-        diagonal = np.tile(1e-6 * np.eye(6), (n, 1, 1))
-        diagonal[~refined] += np.diag(known.pose_sigma**-2.0)
-        upper = np.zeros((max(n - 1, 0), 6, 6))
-        R, t = at.motions()
-        for row in np.flatnonzero(comparison.compared & concerned).tolist():
-            A, J = comparison.information[row] / known.motion_share, adjoint(Pose(R[row], t[row]))
-            diagonal[row] += J.T @ A @ J
-            diagonal[row + 1] += A
-            upper[row] -= J.T @ A
-        return cls(frame_index, diagonal, upper)
-
-    def covariance(self, rows: IntArray) -> FloatArray:
-        """Return the covariance (6 m, 6 m) of the poses in rows (m,)."""
-        run = np.concatenate([[0], np.cumsum(~self.upper.any(axis=(1, 2)))])  # correlated frames
-        near = np.flatnonzero(np.isin(run, run[rows]))
-        upper = self.upper[near[:-1]] * (np.diff(near) == 1)[:, None, None]
-        columns = np.zeros((6 * len(near), 6 * len(rows)))
-        chosen = (6 * np.searchsorted(near, rows)[:, None] + np.arange(6)).ravel()
-        columns[chosen, np.arange(len(chosen))] = 1.0
-        factors = splu(_matrix(self.diagonal[near], upper).tocsc())
-        return np.asarray(factors.solve(columns)[chosen])
 
 
 def stretches(

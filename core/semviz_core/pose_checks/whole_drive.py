@@ -22,6 +22,9 @@ from semviz_core.pose_checks.image_motions import ImageMotions
 
 GAIN, TIME_GAIN = 40.0, 15.0
 """Least drop of twice the negative log-likelihood by other axes, and by another time."""
+TIME_GAIN_HALVES = 3.6
+"""The same of both halves, each with a spread of good poses of its own, over the root of the number
+of pairs: by so much noise that a turned stretch happens to suit passes for another time."""
 TIME_LOSS = 0.1
 """Largest share of that by which one half of the drive may fit worse: a turned stretch, which one
 offset seems to explain, is in one of them."""
@@ -136,7 +139,8 @@ def corrected_time(poses: DrivePoses, motions: ImageMotions) -> Correction | Non
         late = min((late - step, late, late + step), key=cost)
     middle = np.arange(len(shared)) < len(shared) // 2
     gains = [cost(0.0, half) - cost(late, half) for half in (shared & middle, shared & ~middle)]
-    if abs(late) < LEAST_LATE or min(gains) < -TIME_LOSS * sum(gains):
+    least = TIME_GAIN_HALVES * np.sqrt(np.count_nonzero(shared))
+    if abs(late) < LEAST_LATE or sum(gains) < least or min(gains) < -TIME_LOSS * sum(gains):
         return None
     return Correction(_completed(shifted_in_time(poses, late), poses, motions), late)
 

@@ -22,7 +22,7 @@ from semviz_annotation.mapping.placement.landmarks import Landmarks, measure_lan
 from semviz_annotation.mapping.placement.observations import ObservationArray, ViewArray
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.pose_checks.refinement import PoseInformation
+from semviz_core.pose_checks.pose_covariance import PoseCovariance
 
 _AT_ONCE = 32
 """Number of landmarks whose covariances are computed together."""
@@ -384,7 +384,7 @@ def with_pose_errors(
     observations: ObservationArray,
     placed: Landmarks,
     options: reprojection.PlaceOptions,
-    poses: PoseInformation,
+    poses: PoseCovariance,
 ) -> Landmarks:
     """Return the landmarks, where they are, with covariances that include errors of the poses.
 
@@ -405,7 +405,7 @@ def with_pose_errors(
         pairs = slice(visibility.first[landmark], visibility.first[landmark + 1])
         seen = frame_index[pairs][known[pairs]]
         follow = Y[pairs][known[pairs]].transpose(1, 0, 2).reshape(6, -1)
-        spread = poses.covariance(np.searchsorted(poses.frame_index, seen))
+        spread = poses.at(np.searchsorted(poses.frame_index, seen))
         covariance[place] += follow @ spread @ follow.T
     is_point = ~observations.of(observations.is_line)
     covariance[is_point, 3:] = covariance[is_point, :, 3:] = 0.0
