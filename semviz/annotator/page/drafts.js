@@ -99,11 +99,11 @@ export class GhostFinder {
    * @returns {Promise<Ghost | null>}
    */
   async #found(side, pixel, frame) {
-    const { selected, isChosen, classId } = this.state;
+    const { selectedId, isChosen, classId } = this.state;
     try {
       const { preview } = await this.page.socket.request("preview_draft", { draft: {
         frame_index: frame,
-        selected_id: selected?.element ?? null,
+        selected_id: selectedId,
         is_chosen: isChosen,
         side,
         drawing: {

@@ -274,7 +274,8 @@ export class Images {
   #paintElements(side, context) {
     const { state } = this;
     const painter = new paint.Painter(context, this.view, (id) => state.classOf(id), this.shownKey);
-    const isSelected = (/** @type {{id: string}} */ { id }) => id === state.selected?.element || id === state.selected?.also;
+    const selectedIds = new Set(state.selectedIds);
+    const isSelected = (/** @type {{id: string}} */ { id }) => selectedIds.has(id);
     if (state.aids.guides) painter.guides(state.ownPreview?.guides[side] ?? []);
     for (const proposal of state.proposals.filter(({ id }) => state.aids.proposals || state.isReviewed(id))) {
       const mark = proposal.marks[side];
@@ -285,7 +286,7 @@ export class Images {
       const observation = element.observations[side];
       if (!observation || state.isHidden(element)) continue;
       const selected = isSelected(element);
-      const isHeld = element.id === state.selected?.element && side === state.selected?.side;
+      const isHeld = element.id === state.selectedId && side === state.selected?.side;
       const hovered = this.hovered?.observation === observation.id;
       painter.element(element, observation, { selected, hovered, reviewed: state.isReviewed(element.id), vertex: isHeld ? state.vertex : null });
     }
@@ -294,6 +295,7 @@ export class Images {
       painter.drawing(state.drawing);
       if (state.preview?.snapped) painter.snapped(state.drawing, state.preview.snapped);
     }
+    if (state.rectangle?.side === side) painter.rectangle(state.rectangle);
     painter.labels(this.stage[0]);
   }
 

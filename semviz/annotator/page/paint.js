@@ -2,7 +2,7 @@
 // Paints elements, proposals, guides and the loupe on an image. Sizes are CSS pixels at any zoom.
 /** @import {annotator} from "/static/protocol" */
 /** @import {View} from "/static/canvas.js" */
-/** @import {Drawing, ElementClass, Ghost, Observation, Proposal, Point, ShownElement} from "./values.js" */
+/** @import {Drawing, ElementClass, Ghost, Observation, Proposal, Point, Rectangle, ShownElement} from "./values.js" */
 import { CASING, drawArrow, drawGlyph, drawHandle, drawLine, drawText } from "/static/glyphs.js";
 import { counted, shownScore } from "./values.js";
 
@@ -122,6 +122,14 @@ export class Painter {
     this.#proposed(id, { anchor, end, anchor_known: true, end_known: end_known || !drawn }, { dash: [3, 2] });
     const hidden = end && drawn && !end_known ? `, bottom hidden (${this.shownKey("O")}: visible)` : "";
     this.#label(`snapped, ${by_px.toFixed(1)} px${hidden}`, this.view.toScreen(end ?? anchor), 3, null);
+  }
+
+  /** The rectangle that selects what it touches.
+   *
+   * @param {Rectangle} rectangle
+   */
+  rectangle({ from, to }) {
+    this.#box(this.view.toScreen(from), this.view.toScreen(to), ACCENT);
   }
 
   /** The whole pole that a click takes.

@@ -1,7 +1,7 @@
 // @ts-check
 // The state of the page and what follows from it. No DOM here.
 /** @import {annotator} from "/static/protocol" */
-/** @import {Aids, Brightness, Correction, Dragged, Drawing, ElementClass, Entry, Ghost, Proposal, OpenReview, PageLabels, Point, Question, Selected, ShownElement, Side} from "./values.js" */
+/** @import {Aids, Brightness, Correction, Dragged, Drawing, ElementClass, Entry, Ghost, Proposal, OpenReview, PageLabels, Point, Question, Rectangle, Selected, ShownElement, Side} from "./values.js" */
 import { find, isSettled, standing, swapped, withPending } from "./pending.js";
 import { SIDES } from "./values.js";
 
@@ -37,9 +37,13 @@ export class State {
     this.wish = null; // for another second image than the usual one; see second.js
     /** @type {"images" | "filmstrip" | "tracks" | "poses" | "team" | "drive"} */
     this.view = "images"; // the tab
+    /** @type {number[]} */
+    this.leftStrip = []; // the frames of the filmstrip that was left for one of them, to draw what it lacks there
     this.classId = 0; // for the next element
     /** @type {Selected | null} */
     this.selected = null; // with the side of the selected observation
+    /** @type {Rectangle | null} */
+    this.rectangle = null; // being drawn to select several
     /** @type {"anchor" | "end"} */
     this.vertex = "anchor"; // which end of the selected pole the arrows move
     /** @type {Aids} */
@@ -115,12 +119,17 @@ export class State {
 
   /** What the card is about: the drawing or the selected element. */
   get subject() {
-    return this.drawing ? "drawing" : this.selected?.element ?? "";
+    return this.drawing ? "drawing" : this.selectedId ?? "";
   }
 
   /** Numbers and guides of the drawing or selected element; null until they have arrived. */
   get ownPreview() {
     return this.previewed.frame === this.frame && this.previewed.subject === this.subject ? this.preview : null;
+  }
+
+  /** Whether the frame on screen was opened from the filmstrip, which is shown next as it was left. */
+  get isOfStrip() {
+    return this.leftStrip.includes(this.frame ?? -1);
   }
 
   /** Whether a person selected the selected element in this frame: it did not only stay selected. */
@@ -239,6 +248,18 @@ export class State {
     return named(pointed) ?? named(selected?.element) ?? proposals[0] ?? null;
   }
 
+  /** The proposals among several that are selected; none if it is one only. */
+  get selectedProposals() {
+    const ids = new Set(this.isSeveral && this.aids.proposals ? this.selectedIds : []);
+    return this.proposals.filter(({ id }) => ids.has(id));
+  }
+
+  /** The proposals that keys act on: all selected ones if they are several, else the current one. */
+  get currentProposals() {
+    const { selectedProposals: several, currentProposal: current } = this;
+    return several.length ? several : current ? [current] : [];
+  }
+
   /** Proposals whose marks are all confident. */
   get confidentProposals() {
     return this.aids.proposals ? this.proposals.filter((proposal) => proposal.is_confident) : [];
@@ -257,8 +278,37 @@ export class State {
     return this.ordered.order;
   }
 
+  /** The ids of all that is selected. */
+  get selectedIds() {
+    return this.selected ? [this.selected.element, ...(this.selected.also ?? [])] : [];
+  }
+
+  get isSeveral() {
+    return Boolean(this.selected?.also?.length);
+  }
+
+  /** The id of what is selected, if it is one only. */
+  get selectedId() {
+    return this.isSeveral ? null : this.selected?.element ?? null;
+  }
+
+  /** The selected element, if it is one only. */
   get selectedElement() {
-    return this.elements.find((element) => element.id === this.selected?.element) ?? null;
+    return this.elements.find(({ id }) => id === this.selectedId) ?? null;
+  }
+
+  /** The labelled ones of several selected elements; none if it is one only. */
+  get selectedElements() {
+    const ids = new Set(this.isSeveral ? this.selectedIds : []);
+    return this.elements.filter(({ id }) => ids.has(id));
+  }
+
+  /** The observations of several selected elements on the selected side, with their elements. */
+  get selectedObservations() {
+    return this.selectedElements.flatMap((element) => {
+      const observation = this.selected && element.observations[this.selected.side];
+      return observation ? [{ element, observation }] : [];
+    });
   }
 
   /** The range of all frames, as people type one. */
@@ -269,7 +319,7 @@ export class State {
 
   /** A selected element that is not labelled here: a proposal or an element of near frames. */
   get selectedCandidate() {
-    const id = this.selected?.element;
+    const id = this.selectedId;
     return [...this.proposals, ...this.nearby].find((candidate) => candidate.id === id) ?? null;
   }
 
