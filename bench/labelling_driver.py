@@ -24,7 +24,6 @@ class Labeller(Hand):
         super().__init__(page, seed)
         self.annotator = annotator
         self.drive = drive
-        self.class_id = 0
         self.labelled: set[int] = set()
         """Elements, in any frame."""
         self.taken: set[int] = set()
@@ -128,7 +127,7 @@ class Labeller(Hand):
             self.key("Control+Shift+Enter" if self.taken else "Control+Enter")
 
     def judge(self, frame: int, truth: Truth) -> None:
-        """Turns down what is sure but wrong.
+        """Turns down what is sure but wrong; it stays selected, and is drawn anew next.
 
         What is weak but right is left to the frame's key, once the weak that is wrong is turned
         down; or accepted one by one, if that takes fewer keys.
@@ -238,23 +237,31 @@ class Labeller(Hand):
 
     def set_points(self, frame: int, truth: Truth, element: int, side: Side) -> None:
         """Class, peak and bottom; or class and middle."""
-        if truth.class_id[element] != self.class_id:
-            self.class_id = truth.class_id[element]
-            self.key(str(self.class_id + 1))
+        if truth.class_id[element] != self.page.evaluate(f"semviz.state.nextClass('{side}')"):
+            self.key(str(truth.class_id[element] + 1))
         self.see(truth, element, side)
-        marks = truth.marks[element][side]
-        is_line = bool(np.isfinite(marks[1]).all())
-        if is_line and self.is_whole_shown(truth, element, side):
-            self.work.clicks += 1
-            before = len(self.labels.in_frame(frame, side))
-            self.page.mouse.down()
-            self.page.mouse.up()
-            self.saved()
-            if len(self.labels.in_frame(frame, side)) > before:
-                return
-            self.key("Escape")  # something else was under the pointer, and is selected now
+        if self.take_whole(frame, truth, element, side):
+            return
+        was_zoomed = self.zoomed_for is not None
         self.zoom_for(frame, truth, element, side)
-        self.set_points_by_hand(frame, truth, element, side)
+        is_nearer = self.zoomed_for is not None and not was_zoomed
+        if not (is_nearer and self.take_whole(frame, truth, element, side)):
+            self.set_points_by_hand(frame, truth, element, side)
+
+    def take_whole(self, frame: int, truth: Truth, element: int, side: Side) -> bool:
+        """Click where the page shows the whole pole; return whether that drew it."""
+        is_line = bool(np.isfinite(truth.marks[element][side][1]).all())
+        if not is_line or not self.is_whole_shown(truth, element, side):
+            return False
+        self.work.clicks += 1
+        before = len(self.labels.in_frame(frame, side))
+        self.page.mouse.down()
+        self.page.mouse.up()
+        self.saved()
+        if len(self.labels.in_frame(frame, side)) > before:
+            return True
+        self.key("Escape")  # something else was under the pointer, and is selected now
+        return False
 
     def set_points_by_hand(self, frame: int, truth: Truth, element: int, side: Side) -> None:
         marks = truth.marks[element][side]

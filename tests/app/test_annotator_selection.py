@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from annotator_page import Served, annotating, settled
-from journeys.driver import ROUNDED, LabelDriver
+from journeys.driver import POLE, ROUNDED, LabelDriver
 from labelled_street import label_street
 from streets import street, street_workspace
 
@@ -142,3 +142,31 @@ def test_a_drawing_joins_none_of_several_and_another_frame_forgets_them(
     page.keyboard.press(".")
     driver.settle()
     assert page.evaluate("semviz.state.selected") is None
+
+
+def test_a_rejected_pole_is_drawn_again_without_its_class_key(
+    driver: LabelDriver, served: Served
+) -> None:
+    page = driver.page
+    driver.goto(2)
+    page.wait_for_function("() => !semviz.state.shownFrame.is_searching")
+    page.keyboard.press(f"Digit{ROUNDED + 1}")
+    pole = page.evaluate(
+        """() => {
+            const pole = semviz.state.proposals.find(({ class_id: id, marks }) => id === 0
+                && marks.left?.anchor[1] > 20 && marks.left?.end);
+            semviz.select(pole.id);
+            return { ...pole.marks.left, id: pole.id };
+        }"""
+    )
+    press(driver, "x")
+    for point in (pole["anchor"], pole["end"]):
+        driver.zoom_to("left", tuple(point))
+        page.keyboard.down("Shift")
+        driver.click_at("left", tuple(point))
+        page.keyboard.up("Shift")
+    settled(page)
+    drawn = [row for row in served.labels.in_frame(2) if row.element_id == pole["id"]]
+    assert [row.end_px is not None for row in drawn] == [True]
+    assert page.evaluate("semviz.state.classId") == ROUNDED
+    assert served.labels.element(pole["id"]).class_id == POLE

@@ -14,7 +14,7 @@ import { reviewCommands } from "./review.js";
 import { secondCommands } from "./second.js";
 import { travelCommands } from "./travel.js";
 import { all, severalEdits } from "./selection.js";
-import { SIDES, other, uuid7 } from "./values.js";
+import { NONE_CHOSEN, SIDES, other, uuid7 } from "./values.js";
 
 /** The commands, for `Keys`. Entries without `run` are mouse gestures, listed in the help.
  *
@@ -144,7 +144,10 @@ export function editing(state, actions) {
   return {
     /** @param {number} id */
     chooseClass(id) {
-      if (state.workspace.classes.some((kind) => kind.id === id) && !state.drawing) state.set({ classId: id });
+      if (state.drawing || !state.workspace.classes.some((kind) => kind.id === id)) return;
+      const selected = state.selectedElement ?? state.selectedCandidate;
+      const continues = !selected || selected.class_id === id; // what is drawn next
+      state.set({ classId: id, ...(continues ? {} : { chosen: NONE_CHOSEN }) });
     },
     /** @param {number} id */
     setClass(id) {

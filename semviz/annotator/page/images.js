@@ -319,7 +319,7 @@ export class Images {
       size,
       zoom,
       drawing,
-      color: this.state.classOf(drawing?.class ?? this.state.classId).color,
+      color: this.state.classOf(drawing?.class ?? this.state.nextClass(side)).color,
       filter: this.state.filter,
     });
   }

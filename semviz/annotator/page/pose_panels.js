@@ -37,7 +37,7 @@ export class PosePanels {
     byId("pose-bar").hidden = !trying;
     this.cache.show("pose-bar", [trying], () => this.#bar());
     this.cache.show("pose-wrong", shown, () => this.#wrong());
-    this.cache.show("pose-answers", [stretch, tried], () => this.#answers());
+    this.cache.show("pose-answers", [stretch, tried, known?.state, Boolean(known?.poses)], () => this.#answers());
     this.cache.show("pose-effects", [stretch], () => this.#effects());
     this.cache.show("pose-moved", [stretch, this.state.selected?.element], () => this.#moved());
     this.cache.show("pose-hints", [], () => HINTS.map(([keys, text]) => this.#hint(/** @type {string[]} */ (keys), String(text))));
@@ -91,8 +91,9 @@ export class PosePanels {
   }
 
   #answers() {
-    const { stretch, tried } = this.poses;
-    if (!stretch) return [header("What to do", ""), el("p", { class: "pose-text dim", text: "Nothing: no pose is in question." })];
+    const { stretch, tried, known } = this.poses;
+    const nothing = known?.poses && known.state !== "working" ? "Nothing: no pose is in question." : "Known once the poses are compared with the images.";
+    if (!stretch) return [header("What to do", ""), el("p", { class: "pose-text dim", text: nothing })];
     const chosen = stretch.chosen && [
       el("p", { class: "pose-text" }, el("b", { text: CHOSEN[stretch.chosen] }), ` (${stretch.chosen_by})`),
       el("div", { class: "buttons" }, el("button", { onclick: () => this.poses.askAgain() }, "Use the given poses, and ask again")),

@@ -3,7 +3,7 @@
 /** @import {annotator} from "/static/protocol" */
 /** @import {Aids, Brightness, Correction, Dragged, Drawing, ElementClass, Entry, Ghost, Proposal, OpenReview, PageLabels, Point, Question, Rectangle, Selected, ShownElement, Side} from "./values.js" */
 import { find, isSettled, standing, swapped, withPending } from "./pending.js";
-import { SIDES } from "./values.js";
+import { NONE_CHOSEN, SIDES } from "./values.js";
 
 export const LEAST_SCORE = 0.05; // of a proposal that was found in the image; below, it is where the element should be
 
@@ -39,7 +39,7 @@ export class State {
     this.view = "images"; // the tab
     /** @type {number[]} */
     this.leftStrip = []; // the frames of the filmstrip that was left for one of them, to draw what it lacks there
-    this.classId = 0; // for the next element
+    this.classId = 0; // for the next element; see nextClass
     /** @type {Selected | null} */
     this.selected = null; // with the side of the selected observation
     /** @type {Rectangle | null} */
@@ -76,7 +76,7 @@ export class State {
     this.review = null; // the open decision or finding; see review.js
     /** @type {Question | null} */
     this.question = null; // about a refused edit
-    this.chosen = { element: "", frame: -1 }; // what a person selected last, and where
+    this.chosen = NONE_CHOSEN; // what a person selected last, and where
     /** @type {Entry[]} */
     this.pending = []; // unsaved edits, oldest first
     /** @type {{request: string, operation: number} | null} */
@@ -135,6 +135,17 @@ export class State {
   /** Whether a person selected the selected element in this frame: it did not only stay selected. */
   get isChosen() {
     return this.selected?.element === this.chosen.element && this.frame === this.chosen.frame;
+  }
+
+  /** The class of what is drawn next in an image: that of an element that a person selected to be drawn there, else the
+   * chosen one.
+   *
+   * @param {Side} side
+   */
+  nextClass(side) {
+    const selected = this.selectedElement ?? this.selectedCandidate;
+    const isLabelled = Boolean(this.selectedElement?.observations[side]);
+    return selected && this.isChosen && !isLabelled ? selected.class_id : this.classId;
   }
 
   /** The last operation that both the frame and the list of frames show. */

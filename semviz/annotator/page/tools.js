@@ -153,7 +153,7 @@ export class Tools {
     const near = BESIDE / this.images.view.scale;
     if (!this.images.bitmap(side) || !this.#isInside(side, pixel, near) || !this.page.mayEdit()) return null;
     const anchor = this.#inside(side, pixel);
-    const id = this.state.classId;
+    const id = this.state.nextClass(side);
     const isLine = this.state.classOf(id).kind === "line";
     /** @type {Drawing} */
     const drawing = {

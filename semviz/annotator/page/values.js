@@ -46,6 +46,9 @@
 /** A refused edit, and what the user may answer; the edit waits until then. `conflict`: who changed the same, and when. `notMade`: the edit is dropped.
  * @typedef {{entry: Entry, text: string, answers: {title: string, run: () => void}[], conflict?: {operation: number, author: string, time: string}, notMade?: boolean}} Question */
 
+/** That nobody selected an element in this frame. */
+export const NONE_CHOSEN = { element: "", frame: -1 };
+
 /** @type {Side[]} */
 export const SIDES = ["left", "right"];
 /**
