@@ -6,7 +6,17 @@ import numpy as np
 from drives import SIDES, Drive
 from labelling_filmstrip import FilmstripHand
 from labelling_hand import FIRST, FRAME, STRIP, Hand
-from labelling_truth import ALONG_M, ALONG_PX, RIGHT_PX, Truth, is_about, meant, truth_of, why_wrong
+from labelling_truth import (
+    ALONG_M,
+    ALONG_PX,
+    RIGHT_PX,
+    Truth,
+    error_px,
+    is_about,
+    meant,
+    truth_of,
+    why_wrong,
+)
 from playwright.sync_api import Page
 
 from semviz.annotator.draft import ProposalView
@@ -282,7 +292,8 @@ class Labeller(Hand):
         self.saved()
 
     def is_whole_shown(self, truth: Truth, element: int, side: Side) -> bool:
-        """Whether the page shows the whole pole under the pointer, and rightly."""
+        """Whether the page shows the whole pole under the pointer, and rightly: zoomed in, an
+        error of a pixel is seen."""
         anchor, end = truth.marks[element][side]
         point = anchor + self.hand.uniform(0.3, 0.7) * (end - anchor)
         self.page.mouse.move(*self.on_screen(side, point, self.hand))
@@ -292,6 +303,9 @@ class Labeller(Hand):
             return False
         shown = ghost["anchor"], ghost["end"]
         if not truth.is_right(element, side, *shown):
+            return False
+        off_px = error_px(shown, truth.marks[element][side])
+        if self.zoomed_for is not None and off_px > RIGHT_PX / 2.0:
             return False
         told = np.array([ghost["anchor_known"], ghost["end_known"]])
         true = np.array(truth.known[element][side])

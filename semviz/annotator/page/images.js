@@ -279,7 +279,7 @@ export class Images {
     if (state.aids.guides) painter.guides(state.ownPreview?.guides[side] ?? []);
     for (const proposal of state.proposals.filter(({ id }) => state.aids.proposals || state.isReviewed(id))) {
       const mark = proposal.marks[side];
-      const marked = { selected: isSelected(proposal), current: proposal.id === state.currentProposal?.id, reviewed: state.isReviewed(proposal.id) };
+      const marked = { selected: isSelected(proposal), alone: proposal.id === state.selectedId, current: proposal.id === state.currentProposal?.id, reviewed: state.isReviewed(proposal.id) };
       if (mark) painter.proposal(proposal, mark, marked);
     }
     for (const element of state.elements) {
@@ -288,7 +288,7 @@ export class Images {
       const selected = isSelected(element);
       const isHeld = element.id === state.selectedId && side === state.selected?.side;
       const hovered = this.hovered?.observation === observation.id;
-      painter.element(element, observation, { selected, hovered, reviewed: state.isReviewed(element.id), vertex: isHeld ? state.vertex : null });
+      painter.element(element, observation, { selected, alone: element.id === state.selectedId, hovered, reviewed: state.isReviewed(element.id), vertex: isHeld ? state.vertex : null });
     }
     if (state.ghost?.side === side && state.ghost.frame === state.frame) painter.ghost(state.ghost);
     if (state.drawing?.side === side) {
