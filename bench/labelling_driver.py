@@ -6,7 +6,17 @@ import numpy as np
 from drives import SIDES, Drive
 from labelling_filmstrip import FilmstripHand
 from labelling_hand import FIRST, FRAME, STRIP, Hand
-from labelling_truth import ALONG_M, ALONG_PX, RIGHT_PX, Truth, is_about, meant, truth_of, why_wrong
+from labelling_truth import (
+    ALONG_M,
+    ALONG_PX,
+    RIGHT_PX,
+    Truth,
+    error_px,
+    is_about,
+    meant,
+    truth_of,
+    why_wrong,
+)
 from playwright.sync_api import Page
 
 from semviz.annotator.draft import ProposalView
@@ -24,7 +34,6 @@ class Labeller(Hand):
         super().__init__(page, seed)
         self.annotator = annotator
         self.drive = drive
-        self.class_id = 0
         self.labelled: set[int] = set()
         """Elements, in any frame."""
         self.taken: set[int] = set()
@@ -128,7 +137,7 @@ class Labeller(Hand):
             self.key("Control+Shift+Enter" if self.taken else "Control+Enter")
 
     def judge(self, frame: int, truth: Truth) -> None:
-        """Turns down what is sure but wrong.
+        """Turns down what is sure but wrong; it stays selected, and is drawn anew next.
 
         What is weak but right is left to the frame's key, once the weak that is wrong is turned
         down; or accepted one by one, if that takes fewer keys.
@@ -238,23 +247,31 @@ class Labeller(Hand):
 
     def set_points(self, frame: int, truth: Truth, element: int, side: Side) -> None:
         """Class, peak and bottom; or class and middle."""
-        if truth.class_id[element] != self.class_id:
-            self.class_id = truth.class_id[element]
-            self.key(str(self.class_id + 1))
+        if truth.class_id[element] != self.page.evaluate(f"semviz.state.nextClass('{side}')"):
+            self.key(str(truth.class_id[element] + 1))
         self.see(truth, element, side)
-        marks = truth.marks[element][side]
-        is_line = bool(np.isfinite(marks[1]).all())
-        if is_line and self.is_whole_shown(truth, element, side):
-            self.work.clicks += 1
-            before = len(self.labels.in_frame(frame, side))
-            self.page.mouse.down()
-            self.page.mouse.up()
-            self.saved()
-            if len(self.labels.in_frame(frame, side)) > before:
-                return
-            self.key("Escape")  # something else was under the pointer, and is selected now
+        if self.take_whole(frame, truth, element, side):
+            return
+        was_zoomed = self.zoomed_for is not None
         self.zoom_for(frame, truth, element, side)
-        self.set_points_by_hand(frame, truth, element, side)
+        is_nearer = self.zoomed_for is not None and not was_zoomed
+        if not (is_nearer and self.take_whole(frame, truth, element, side)):
+            self.set_points_by_hand(frame, truth, element, side)
+
+    def take_whole(self, frame: int, truth: Truth, element: int, side: Side) -> bool:
+        """Click where the page shows the whole pole; return whether that drew it."""
+        is_line = bool(np.isfinite(truth.marks[element][side][1]).all())
+        if not is_line or not self.is_whole_shown(truth, element, side):
+            return False
+        self.work.clicks += 1
+        before = len(self.labels.in_frame(frame, side))
+        self.page.mouse.down()
+        self.page.mouse.up()
+        self.saved()
+        if len(self.labels.in_frame(frame, side)) > before:
+            return True
+        self.key("Escape")  # something else was under the pointer, and is selected now
+        return False
 
     def set_points_by_hand(self, frame: int, truth: Truth, element: int, side: Side) -> None:
         marks = truth.marks[element][side]
@@ -275,7 +292,8 @@ class Labeller(Hand):
         self.saved()
 
     def is_whole_shown(self, truth: Truth, element: int, side: Side) -> bool:
-        """Whether the page shows the whole pole under the pointer, and rightly."""
+        """Whether the page shows the whole pole under the pointer, and rightly: zoomed in, an
+        error of a pixel is seen."""
         anchor, end = truth.marks[element][side]
         point = anchor + self.hand.uniform(0.3, 0.7) * (end - anchor)
         self.page.mouse.move(*self.on_screen(side, point, self.hand))
@@ -285,6 +303,9 @@ class Labeller(Hand):
             return False
         shown = ghost["anchor"], ghost["end"]
         if not truth.is_right(element, side, *shown):
+            return False
+        off_px = error_px(shown, truth.marks[element][side])
+        if self.zoomed_for is not None and off_px > RIGHT_PX / 2.0:
             return False
         told = np.array([ghost["anchor_known"], ghost["end_known"]])
         true = np.array(truth.known[element][side])

@@ -225,7 +225,9 @@ def _usual_steps(path: Path, source: Dataset, has_poses: bool) -> list[DriveStep
             command=f"semviz detect {path}",
         ),
         DriveStep(
-            title="Label", text="A pole by two clicks, a sign by one; in two images.", view="images"
+            title="Label",
+            text="One click takes a whole pole or a sign; one key its proposal in the other image.",
+            view="images",
         ),
     ]
     if has_poses:

@@ -22,6 +22,7 @@ VERBS = {
     "add many": "Accept",
     "move": "Move",
     "set known": "Flag",
+    "set known of many": "Flag",
     "swap ends": "Swap ends of",
     "delete": "Delete",
     "delete element": "Delete",
@@ -29,6 +30,7 @@ VERBS = {
     "link": "Link",
     "unlink": "Unlink",
     "set class": "Class of",
+    "set class of many": "Class of",
     "dismiss": "Dismiss",
     "take back": "Revoke the decision on",
     "accept tracks": "Accept",
@@ -39,7 +41,15 @@ VERBS = {
     "delete note": "Delete a note on",
     "set attribute": "Attribute of",
 }
-OF_SEVERAL = ("add many", "delete many", "import", "accept tracks", "reject tracks")
+OF_SEVERAL = (
+    "add many",
+    "delete many",
+    "set class of many",
+    "set known of many",
+    "import",
+    "accept tracks",
+    "reject tracks",
+)
 """Kinds of operations that may change several elements at once."""
 
 
@@ -80,12 +90,15 @@ def note_on(operation: Operation, labels: Labels) -> str:
         return ""
     befores = [change.before for change in operation.changes]
     deleted = [row for row in befores if isinstance(row, Observation)]
+    frames = len({row.frame_index for row in deleted})
+    extent = f"{_count(len(deleted), 'view')} in {_count(frames, 'frame')}"
+    elements = len({row.element_id for row in deleted})
+    if elements > 1:
+        return f"Deleted {extent}, of {elements} elements. Ctrl Z brings all back."
     subject = _subject(operation, labels)
     left = len(labels.of_element(deleted[0].element_id)) if deleted else 0
     if left:
         return f"Deleted {subject}. {_count(left, 'view')} left. Ctrl Z brings it back."
-    frames = len({row.frame_index for row in deleted})
-    extent = f"{_count(len(deleted), 'view')} in {_count(frames, 'frame')}"
     return f"Deleted {subject} with {extent}. Ctrl Z brings all back."
 
 
@@ -175,10 +188,16 @@ def _describe(operation: Operation, labels: Labels) -> str:
     if operation.kind == "judge":
         return _describe_decisions(operation, labels)
     verb = VERBS.get(operation.kind, operation.kind.capitalize())
-    elements = {row.element_id for row in _rows(operation) if isinstance(row, Observation)}
+    elements = _labelled_elements(_rows(operation))
     if operation.kind in OF_SEVERAL and len(elements) > 1:
         return f"{verb} {len(elements)} elements"
     return f"{verb} {_subject(operation, labels)}"
+
+
+def _labelled_elements(rows: Sequence[Row]) -> set[str]:
+    """Return the ids of the elements that rows are, or that rows are observations of."""
+    observed = {row.element_id for row in rows if isinstance(row, Observation)}
+    return observed | {row.id for row in rows if isinstance(row, LabelElement)}
 
 
 def _describe_decisions(operation: Operation, labels: Labels) -> str:

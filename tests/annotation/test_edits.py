@@ -19,7 +19,9 @@ from semviz_annotation.labels.edits import (
     ReviewFrame,
     RevokeDecision,
     SetClass,
+    SetClassOfMany,
     SetKnown,
+    SetKnownOfMany,
     SwapEnds,
     Unlink,
     edit_from_json,
@@ -119,6 +121,21 @@ def test_many_are_deleted_together_or_not_at_all():
     assert after(labels, every) == Labels()
     with pytest.raises(SemvizError, match="no observation"):
         after(labels, DeleteMany((first.observation_id, new_id())))
+
+
+def test_many_get_a_class_or_hidden_ends_as_one_by_one_or_not_at_all():
+    poles, signs = (pole(), pole(frame=1)), (sign(), sign(frame=1))
+    labels = after(Labels(), *poles, *signs)
+    elements = tuple(one.element_id for one in signs)
+    one_by_one = after(labels, *(SetClass(id_, 3) for id_ in elements))
+    assert after(labels, SetClassOfMany((*elements, elements[0]), 3)) == one_by_one != labels
+    rows = tuple(one.observation_id for one in poles)
+    one_by_one = after(labels, *(SetKnown(id_, end_known=False) for id_ in rows))
+    assert after(labels, SetKnownOfMany(rows, end_known=False)) == one_by_one != labels
+    with pytest.raises(SemvizError, match="cannot become"):
+        after(labels, SetClassOfMany((elements[0], poles[0].element_id), 3))
+    with pytest.raises(SemvizError, match="only a pole's ends"):
+        after(labels, SetKnownOfMany((rows[0], signs[0].observation_id), end_known=False))
 
 
 def test_link_keeps_the_smaller_number_and_unlink_makes_a_new_one():
@@ -407,6 +424,7 @@ EVERY = [
     S,
     MoveObservation(A.observation_id, (0.125, 7.0)),
     SetKnown(A.observation_id, False, None),
+    SetKnownOfMany((A.observation_id,), None, False),
     SwapEnds(A.observation_id),
     DeleteObservation(A.observation_id),
     DeleteElement(A.element_id),
@@ -414,6 +432,7 @@ EVERY = [
     Link((A.element_id, B.element_id)),
     Unlink((A.observation_id,), new_id()),
     SetClass(A.element_id, 3),
+    SetClassOfMany((A.element_id,), 3),
     ReviewFrame(3, "reviewed, empty"),
     AddMany((A, S)),
     Dismiss((dismissal(A.element_id, 1), of_detector(2))),
@@ -457,6 +476,8 @@ def test_an_empty_list_is_no_edit():
         Dismiss(()),
         DecideElements(()),
         DeleteMany(()),
+        SetClassOfMany((), 1),
+        SetKnownOfMany((), True),
         Unlink((), new_id()),
     ):
         with pytest.raises(SemvizError, match="at least 1 item"):

@@ -181,6 +181,10 @@ def test_a_frame_opened_from_the_strip_leads_back_to_it(page: "Page", served: Se
     page.wait_for_function(
         f"() => semviz.state.shownFrame?.index === {frame} && !semviz.state.shownFrame.is_searching"
     )
+    page.wait_for_selector("#hints .hint:has-text('back to the filmstrip')")
+    page.keyboard.press("?")
+    page.wait_for_selector("dialog.help li:has-text('next or back to strip')")
+    page.keyboard.press("Escape")
     page.keyboard.press("Control+Shift+Enter")
     page.wait_for_function(
         "() => semviz.state.view === 'filmstrip' && !semviz.state.pending.length"

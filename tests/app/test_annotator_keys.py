@@ -140,7 +140,7 @@ def test_class_keys_follow_the_classes_of_the_workspace(workspace: Workspace, pa
         driver.press_and_save("Shift+Digit2")
         assert [element.class_id for element in served.labels.elements.values()] == [TRIANGULAR]
         page.keyboard.press("?")
-        keys = help_row(page, "Class of the selected element").locator("kbd").all_inner_texts()
+        keys = help_row(page, "Class of the selection").locator("kbd").all_inner_texts()
         assert keys == ["Shift", "1", "2", "3", "4", "5", "6"]
         page.goto("about:blank")
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from annotator_page import Served, annotating
+from annotator_page import Served, annotating, draw_on
 from journeys.driver import LabelDriver
 from streets import street_workspace
 
@@ -124,3 +124,35 @@ def test_go_to_frame_and_playback_by_the_keyboard(driver: LabelDriver) -> None:
     frame = driver.frame
     page.wait_for_timeout(900)
     assert driver.frame == frame < 3
+
+
+def test_without_the_3d_map_its_room_is_the_lists(driver: LabelDriver) -> None:
+    page = driver.page
+    heights = "['.elements', '#map-panel'].map((one) => document.querySelector(one).clientHeight)"
+    off = page.evaluate(heights)
+    assert page.inner_text("#map-about") == "off: F shows it"
+    page.keyboard.press("f")
+    driver.settle()
+    on = page.evaluate(heights)
+    assert off[1] < 40 < 100 < on[1]
+    assert off[0] > on[0] + 60
+
+
+def test_the_row_of_an_element_that_is_selected_elsewhere_is_in_view(
+    driver: LabelDriver, served: Served
+) -> None:
+    page = driver.page
+    page.set_viewport_size({"width": 1280, "height": 720})
+    page.keyboard.press("f")
+    for place in range(24):
+        draw_on(page, 0, 40.0 + 40.0 * place)
+    driver.clear_selection()
+    in_view = """() => {
+        const [row, list] = ["#elements .chosen", "#elements"].map(
+            (one) => document.querySelector(one).getBoundingClientRect());
+        return row.top >= list.top - 1 && row.bottom <= list.bottom + 1;
+    }"""
+    for row in (served.observations[-1], served.observations[0]):
+        page.evaluate("(id) => semviz.select(id)", row.element_id)
+        driver.settle()
+        assert page.evaluate(in_view)

@@ -1,6 +1,7 @@
 import assert from "node:assert/strict";
 import { webcrypto } from "node:crypto";
 import { test } from "node:test";
+import { editing } from "../../semviz/annotator/page/commands.js";
 import { drawnAgain, isIdle, seen, standing, startOf, withPending } from "../../semviz/annotator/page/pending.js";
 import { acceptedTracks, proposing } from "../../semviz/annotator/page/proposals.js";
 import { State } from "../../semviz/annotator/page/state.js";
@@ -28,6 +29,20 @@ function stateWith({ elements = [], proposals = [], nearby = [] } = {}) {
   });
   return state;
 }
+
+test("an element that was selected is drawn in its own class, until another one is chosen", () => {
+  const element = { ...pole({ left: saved("o", "left") }), class_id: 0 };
+  const state = stateWith({ elements: [element], proposals: [proposal({ left: proposalMark("m", "left") }, { class_id: 3 })] });
+  state.set({ classId: 3, selected: { element: "p", side: "left" } });
+  assert.equal(state.nextClass("right"), 3, "it only stayed selected");
+  state.set({ chosen: { element: "p", frame: 5 } });
+  assert.equal(state.nextClass("right"), 0);
+  assert.equal(state.nextClass("left"), 3, "it is labelled there: what is drawn is another one");
+  state.set({ classId: 0, selected: { element: "q", side: "left" }, chosen: { element: "q", frame: 5 } });
+  assert.equal(state.nextClass("left"), 3);
+  editing(state, { submit() {}, select() {}, notify() {}, preview() {} }).chooseClass(0);
+  assert.equal(state.nextClass("left"), 0);
+});
 
 test("moves, flags, swaps and deletions show at once, without changing the saved labels", () => {
   const elements = [pole({ left: saved("o", "left") })];

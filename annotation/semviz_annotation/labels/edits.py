@@ -23,8 +23,10 @@ from semviz_annotation.labels.element_edits import (
     NewElement,
     ReSnap,
     SetClass,
+    SetClassOfMany,
     SetClassOfViews,
     SetKnown,
+    SetKnownOfMany,
     SwapEnds,
     Unlink,
 )
@@ -55,8 +57,10 @@ __all__ = [
     "SendBackFrame",
     "SetAttribute",
     "SetClass",
+    "SetClassOfMany",
     "SetClassOfViews",
     "SetKnown",
+    "SetKnownOfMany",
     "SwapEnds",
     "Unlink",
     "WriteNote",
@@ -276,6 +280,7 @@ Edit: TypeAlias = (
     | MoveObservation
     | ReSnap
     | SetKnown
+    | SetKnownOfMany
     | SwapEnds
     | DeleteObservation
     | DeleteMany
@@ -283,6 +288,7 @@ Edit: TypeAlias = (
     | Link
     | Unlink
     | SetClass
+    | SetClassOfMany
     | SetClassOfViews
     | SetAttribute
     | ReviewFrame

@@ -182,6 +182,21 @@ class SetClass:
 
 
 @dataclass(frozen=True)
+class SetClassOfMany:
+    """Change the class of several elements, all or none, each like ``SetClass``."""
+
+    element_ids: Annotated[tuple[Id, ...], Field(min_length=1)]
+    class_id: Index
+    kind: Literal["set class of many"] = "set class of many"
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
+        for element_id in dict.fromkeys(self.element_ids):
+            yield from SetClass(element_id, self.class_id).changes(labels, rules)
+
+
+@dataclass(frozen=True)
 class SetClassOfViews:
     """Change the class of some observations of an element, within its kind.
 
@@ -370,6 +385,23 @@ class SetKnown:
                 end_known=row.end_known if self.end_known is None else self.end_known,
             ),
         )
+
+
+@dataclass(frozen=True)
+class SetKnownOfMany:
+    """Set whether the ends of several poles are visible, all or none, each like ``SetKnown``."""
+
+    observation_ids: Annotated[tuple[Id, ...], Field(min_length=1)]
+    anchor_known: bool | None = None
+    end_known: bool | None = None
+    kind: Literal["set known of many"] = "set known of many"
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
+
+    def changes(self, labels: Labels, rules: Rules) -> Iterator[RowChange]:
+        for id_ in dict.fromkeys(self.observation_ids):
+            one = SetKnown(id_, self.anchor_known, self.end_known)
+            yield from one.changes(labels, rules)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ import { proposalCommands, proposing, whyIncomplete } from "./proposals.js";
 import { reviewCommands } from "./review.js";
 import { secondCommands } from "./second.js";
 import { travelCommands } from "./travel.js";
-import { SIDES, other, uuid7 } from "./values.js";
+import { all, severalEdits } from "./selection.js";
+import { NONE_CHOSEN, SIDES, other, uuid7 } from "./values.js";
 
 /** The commands, for `Keys`. Entries without `run` are mouse gestures, listed in the help.
  *
@@ -39,6 +40,7 @@ export function commands(state, images, tools, actions) {
       { key, ctrl: true, group: "Draw", title: "Move the cursor 0.1 px", run: () => cursor.move(0.1 * du, 0.1 * dv) },
     ];
   };
+  const more = "Select more: one, a rectangle, all in the image";
   const keyed = state.workspace.classes.filter(({ key }) => key);
   return [
     { key: "Click", group: "Draw", title: `Pole: the whole one if it is dashed, else peak, then bottom. Sign: middle${state.workspace.triangle_center === "centroid" ? "; of a triangle the centroid, a third of its height from its base" : ""}` },
@@ -54,11 +56,13 @@ export function commands(state, images, tools, actions) {
     } },
 
     { key: "Click element", group: "Draw", title: "Select; drag moves an end, or all of it" },
-    { key: "Click element", ctrl: true, group: "Draw", title: "Select a second element to link" },
-    { key: "p", group: "Draw", title: "Link the two selected elements", run: edit.link },
+    { key: "Click element", ctrl: true, group: "Draw", title: "Select one more, or not any more", row: more },
+    { key: "Drag", ctrl: true, group: "Draw", title: "Select all that the rectangle touches", row: more },
+    { key: "a", ctrl: true, group: "Draw", title: "Select all in this image", row: more, words: "rectangle several many", run: () => tools.choose(all(state, state.cursor?.side ?? state.selected?.side ?? "left")) },
+    { key: "p", group: "Draw", title: "Link the selected elements", run: edit.link },
     { key: "u", group: "Draw", title: "Unlink: this view is another element", words: "split", run: edit.unlink },
     ...keyed.map(({ id, key, name }) => ({
-      key, shift: true, group: "Draw", title: `Selected element becomes ${name}`, row: "Class of the selected element", run: () => edit.setClass(id),
+      key, shift: true, group: "Draw", title: `What is selected becomes ${name}`, row: "Class of the selection", run: () => edit.setClass(id),
     })),
     { key: "o", group: "Draw", title: "Bottom hidden; proposal: all hidden", run: () => edit.hide() },
     { key: "c", group: "Draw", title: "Peak cut off, or visible again", run: () => edit.flag("anchor_known") },
@@ -73,7 +77,7 @@ export function commands(state, images, tools, actions) {
       else actions.select(selected.element, other(selected.side));
     } },
     { key: "v", group: "Draw", title: "Arrows move the other end", run: edit.otherEnd },
-    { key: "Delete", group: "Draw", title: "Delete this view of the element", run: edit.remove },
+    { key: "Delete", group: "Draw", title: "Delete what is selected in this image", run: edit.remove },
     { key: "Delete", shift: true, group: "Draw", title: "Delete the element in all frames", run: edit.removeAll },
 
     ...proposalCommands(state, actions, () => actions.filmstrip.goOn()),
@@ -136,19 +140,23 @@ export function editing(state, actions) {
     const observation = pole();
     if (observation) run(observation);
   };
+  const several = severalEdits(state, actions);
   return {
     /** @param {number} id */
     chooseClass(id) {
-      if (state.workspace.classes.some((kind) => kind.id === id) && !state.drawing) state.set({ classId: id });
+      if (state.drawing || !state.workspace.classes.some((kind) => kind.id === id)) return;
+      const selected = state.selectedElement ?? state.selectedCandidate;
+      const continues = !selected || selected.class_id === id; // what is drawn next
+      state.set({ classId: id, ...(continues ? {} : { chosen: NONE_CHOSEN }) });
     },
     /** @param {number} id */
     setClass(id) {
+      if (several.setClass(id)) return;
       const element = state.selectedElement;
       if (element && element.class_id !== id && state.classOf(id).kind === state.classOf(element.class_id).kind) actions.submit({ kind: "set class", element_id: element.id, class_id: id });
     },
     link() {
-      const { element, also } = state.selected ?? {};
-      if (element && also) actions.submit({ kind: "link", element_ids: [element, also] });
+      if (state.isSeveral) actions.submit({ kind: "link", element_ids: state.selectedIds });
     },
     unlink() {
       const observation = state.selectedObservation;
@@ -168,11 +176,12 @@ export function editing(state, actions) {
         actions.preview();
         return;
       }
+      if (several.flag(end)) return;
       const observation = pole();
       if (observation) actions.submit({ kind: "set known", observation_id: observation.id, [end]: !observation[end] });
     },
     hide() {
-      if (state.drawing || state.selectedObservation) this.flag("end_known");
+      if (state.drawing || state.selectedObservation || state.selectedObservations.length) this.flag("end_known");
       else proposing(state, actions).dismiss("occluded");
     },
     swap: withPole(({ id }) => actions.submit({ kind: "swap ends", observation_id: id })),
@@ -195,6 +204,7 @@ export function editing(state, actions) {
       });
     },
     remove() {
+      if (several.remove()) return;
       const observation = state.selectedObservation;
       if (!observation) return;
       actions.submit({ kind: "delete", observation_id: observation.id });

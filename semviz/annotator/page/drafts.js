@@ -35,7 +35,7 @@ export class GhostFinder {
    */
   seek(side, pixel) {
     clearTimeout(this.timer);
-    if (!this.#isOn() || !this.images.bitmap(side)) {
+    if (!this.#isOn(side) || !this.images.bitmap(side)) {
       this.drop();
       return;
     }
@@ -61,7 +61,7 @@ export class GhostFinder {
    */
   at(side, pixel) {
     const { ghost, frame } = this.state;
-    if (!ghost || ghost.side !== side || ghost.frame !== frame || !this.#isOn()) return null;
+    if (!ghost || ghost.side !== side || ghost.frame !== frame || !this.#isOn(side)) return null;
     return distance(pixel, ghost.anchor, ghost.end) * this.images.view.scale <= NEAR ? ghost : null;
   }
 
@@ -70,9 +70,10 @@ export class GhostFinder {
     return this.isSeeking || this.isWaiting;
   }
 
-  #isOn() {
-    const { aids, classId, drawing, past, connected, isReady } = this.state;
-    return isReady && connected && aids.whole && aids.snap && !drawing && !past && this.state.classOf(classId).kind === "line";
+  /** @param {Side} side */
+  #isOn(side) {
+    const { aids, drawing, past, connected, isReady } = this.state;
+    return isReady && connected && aids.whole && aids.snap && !drawing && !past && this.state.classOf(this.state.nextClass(side)).kind === "line";
   }
 
   async #ask() {
@@ -99,11 +100,12 @@ export class GhostFinder {
    * @returns {Promise<Ghost | null>}
    */
   async #found(side, pixel, frame) {
-    const { selected, isChosen, classId } = this.state;
+    const { selectedId, isChosen } = this.state;
+    const classId = this.state.nextClass(side);
     try {
       const { preview } = await this.page.socket.request("preview_draft", { draft: {
         frame_index: frame,
-        selected_id: selected?.element ?? null,
+        selected_id: selectedId,
         is_chosen: isChosen,
         side,
         drawing: {

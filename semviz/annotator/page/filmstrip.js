@@ -40,7 +40,6 @@ export class Filmstrip {
     /** @type {string | null} */
     this.chosen = null; // the cell that keys act on
     this.isWanted = false; // the strip waits for saved edits before it is searched
-    this.isLeft = false; // for one of its frames, to draw what the strip lacks there
     /** @type {number | null} */
     this.goesTo = null; // the frame that follows the strip
     this.grid = new FilmstripGrid(this);
@@ -105,7 +104,7 @@ export class Filmstrip {
   /** After a frame was reviewed: the strip that it was opened from, or that of the frames before it, else the next frame or
    * key frame. */
   goOn() {
-    if (this.isResumed || (this.isSparse && this.#before().length)) this.page.views.open("filmstrip");
+    if (this.state.isOfStrip || (this.isSparse && this.#before().length)) this.page.views.open("filmstrip");
     else this.page.go(this.#at(this.isSparse ? STRIDE : 1));
   }
 
@@ -137,18 +136,12 @@ export class Filmstrip {
 
   // -- a part of the page
 
-  /** Whether the frame on screen was opened from the strip, which is shown next as it was left. */
-  get isResumed() {
-    return this.isLeft && this.frames.includes(this.state.frame ?? -1);
-  }
-
   entered() {
-    if (!this.isResumed) this.#begin();
-    this.isLeft = false;
+    if (!this.state.isOfStrip) this.#begin();
     this.found.clear(); // what was drawn meanwhile is followed into the other frames
     this.chosen = null;
     this.isWanted = this.frames.length > 0;
-    this.state.set({});
+    this.state.set({ leftStrip: [] });
   }
 
   #begin() {
@@ -296,7 +289,7 @@ export class Filmstrip {
     if (frame === undefined) return;
     this.page.views.open("images");
     this.page.go(frame);
-    this.isLeft = true;
+    this.state.set({ leftStrip: this.frames });
     this.page.notify(`Draw what the filmstrip lacks; ${this.keys.shown("Ctrl Enter")} goes back to it.`);
   }
 }

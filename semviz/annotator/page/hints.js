@@ -21,21 +21,42 @@ export function hints(state) {
   const kind = state.classOf(state.classId).kind;
   const draw = kind === "line" ? hint("peak, then bottom", "Click") : hint(`${state.middleOf(state.classId)}, or drag a box`, "Click");
   if (state.review && !selected) return forReview(state.review.entry);
-  if (selected?.also) return [hint("link the two", "P"), hint("clear", "Esc")];
+  if (state.isSeveral && selected) return forSeveral(state, selected);
   const proposal = state.currentProposal;
   if (proposal && (!element || element.id === proposal.id)) return forProposal(state, proposal);
   if (element && selected) return forElement(state, element, selected);
   if (candidate) return [hint(`${candidate.name} here`, "Click"), hint("not this one", "Esc")];
   return [
-    draw, hint("class", ...state.workspace.classes.filter(({ key }) => key).map(({ key }) => key)), hint("zoom", "Wheel"), hint("pan", "Right drag"),
+    ...backToStrip(state), draw, hint("class", ...state.workspace.classes.filter(({ key }) => key).map(({ key }) => key)), hint("zoom", "Wheel"), hint("pan", "Right drag"),
     hint("frame", ",", "."), hint("reviewed", "Enter"), hint("all keys", "?"),
   ];
 }
+
+/** @param {State} state */
+const backToStrip = ({ isOfStrip }) => (isOfStrip ? [hint("reviewed, back to the filmstrip", "Ctrl Enter")] : []);
 
 /** @param {Ghost} ghost */
 const forGhost = ({ joins }) => [
   hint(joins ? `${joins} as dashed` : "the whole pole as dashed", "Click"), hint("peak, then bottom", "Shift Click"), hint("one stroke", "Drag"), hint("no whole poles", "Shift P"),
 ];
+
+/**
+ * @param {State} state
+ * @param {Selected} selected
+ */
+function forSeveral(state, { side }) {
+  const labelled = state.selectedObservations, proposals = state.selectedProposals;
+  const kinds = new Set(state.selectedElements.map((element) => state.classOf(element.class_id).kind));
+  const classes = state.workspace.classes.filter(({ key, kind }) => key && kinds.has(kind)).map(({ key }) => key);
+  return [
+    ...(proposals.length ? [hint(`accept ${proposals.length}`, "Space"), hint(`reject ${proposals.length}`, "X")] : []),
+    ...(labelled.length ? [hint(`delete ${labelled.length} in the ${side} image`, "Del")] : []),
+    ...(classes.length > 1 ? [hint("class", "Shift", ...classes)] : []),
+    ...(kinds.has("line") ? [hint("bottoms hidden", "O"), hint("peaks cut", "C")] : []),
+    ...(state.selectedElements.length > 1 ? [hint("link", "P")] : []),
+    hint("clear", "Esc"),
+  ];
+}
 
 /** @param {annotator.EntryView} entry */
 function forReview({ answers }) {
@@ -50,12 +71,13 @@ function forReview({ answers }) {
 function forProposal(state, proposal) {
   const confident = state.confidentProposals.length;
   const found = state.foundProposals.length;
+  const next = state.isOfStrip ? "and back to the filmstrip" : "and next frame";
   if (proposal.track) return forTrack(state, proposal, proposal.track);
   const second = proposal.marks.left?.runner_up ?? proposal.marks.right?.runner_up;
   return [
     hint(`accept ${proposal.name}`, "Space"),
-    ...(confident > 1 ? [hint(`accept ${confident} confident`, "Shift Space"), hint("and next frame", "Ctrl Enter")] : []),
-    ...(found > Math.max(confident, 1) ? [hint(`accept all ${found}`, "Shift G"), hint("and next frame", "Ctrl Shift Enter")] : []),
+    ...(confident > 1 ? [hint(`accept ${confident} confident`, "Shift Space"), hint(next, "Ctrl Enter")] : []),
+    ...(found > Math.max(confident, 1) ? [hint(`accept all ${found}`, "Shift G"), hint(next, "Ctrl Shift Enter")] : []),
     hint("reject", "X"), hint("next", "Tab"), ...(second ? [hint("second-best", "K")] : []),
     hint("gone", "N"), hint("hidden", "O"), hint("draw it", "Click"),
   ];
@@ -100,6 +122,7 @@ function forElement(state, element, { side }) {
   const missing = state.hasRight && SIDES.find((other) => !element.observations[other]);
   return [
     ...(confident ? [hint(`accept ${confident} confident`, "Shift Space")] : []),
+    ...backToStrip(state),
     ...(missing ? [hint(`${element.name} in the ${missing} image`, "Click")] : []),
     ...(here ? [hint("0.1 px", "Arrows"), hint("delete", "Del")] : []),
     ...(here && isLine ? [hint("bottom hidden", "O"), hint("peak cut", "C"), hint("swap", "R")] : []),

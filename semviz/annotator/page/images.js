@@ -274,26 +274,28 @@ export class Images {
   #paintElements(side, context) {
     const { state } = this;
     const painter = new paint.Painter(context, this.view, (id) => state.classOf(id), this.shownKey);
-    const isSelected = (/** @type {{id: string}} */ { id }) => id === state.selected?.element || id === state.selected?.also;
+    const selectedIds = new Set(state.selectedIds);
+    const isSelected = (/** @type {{id: string}} */ { id }) => selectedIds.has(id);
     if (state.aids.guides) painter.guides(state.ownPreview?.guides[side] ?? []);
     for (const proposal of state.proposals.filter(({ id }) => state.aids.proposals || state.isReviewed(id))) {
       const mark = proposal.marks[side];
-      const marked = { selected: isSelected(proposal), current: proposal.id === state.currentProposal?.id, reviewed: state.isReviewed(proposal.id) };
+      const marked = { selected: isSelected(proposal), alone: proposal.id === state.selectedId, current: proposal.id === state.currentProposal?.id, reviewed: state.isReviewed(proposal.id) };
       if (mark) painter.proposal(proposal, mark, marked);
     }
     for (const element of state.elements) {
       const observation = element.observations[side];
       if (!observation || state.isHidden(element)) continue;
       const selected = isSelected(element);
-      const isHeld = element.id === state.selected?.element && side === state.selected?.side;
+      const isHeld = element.id === state.selectedId && side === state.selected?.side;
       const hovered = this.hovered?.observation === observation.id;
-      painter.element(element, observation, { selected, hovered, reviewed: state.isReviewed(element.id), vertex: isHeld ? state.vertex : null });
+      painter.element(element, observation, { selected, alone: element.id === state.selectedId, hovered, reviewed: state.isReviewed(element.id), vertex: isHeld ? state.vertex : null });
     }
     if (state.ghost?.side === side && state.ghost.frame === state.frame) painter.ghost(state.ghost);
     if (state.drawing?.side === side) {
       painter.drawing(state.drawing);
       if (state.preview?.snapped) painter.snapped(state.drawing, state.preview.snapped);
     }
+    if (state.rectangle?.side === side) painter.rectangle(state.rectangle);
     painter.labels(this.stage[0]);
   }
 
@@ -317,7 +319,7 @@ export class Images {
       size,
       zoom,
       drawing,
-      color: this.state.classOf(drawing?.class ?? this.state.classId).color,
+      color: this.state.classOf(drawing?.class ?? this.state.nextClass(side)).color,
       filter: this.state.filter,
     });
   }

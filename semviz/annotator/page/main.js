@@ -169,7 +169,8 @@ export class Page {
     const { state } = this;
     if (!state.isReady || index === null || !state.order.includes(index)) return;
     this.tools.cancel();
-    state.set({ frame: index, preview: null });
+    const selected = state.isSeveral && index !== state.frame ? null : state.selected; // several are of one frame
+    state.set({ frame: index, preview: null, selected });
     const { wish, view } = state;
     window.history.replaceState(null, "", `?frame=${index}${inAddress(wish)}${view === "images" ? "" : `&view=${view}`}${this.tracks.inAddress()}`);
     this.sceneGate?.hold(true);

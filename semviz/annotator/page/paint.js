@@ -2,7 +2,7 @@
 // Paints elements, proposals, guides and the loupe on an image. Sizes are CSS pixels at any zoom.
 /** @import {annotator} from "/static/protocol" */
 /** @import {View} from "/static/canvas.js" */
-/** @import {Drawing, ElementClass, Ghost, Observation, Proposal, Point, ShownElement} from "./values.js" */
+/** @import {Drawing, ElementClass, Ghost, Observation, Proposal, Point, Rectangle, ShownElement} from "./values.js" */
 import { CASING, drawArrow, drawGlyph, drawHandle, drawLine, drawText } from "/static/glyphs.js";
 import { counted, shownScore } from "./values.js";
 
@@ -35,14 +35,14 @@ export class Painter {
     this.texts = [];
   }
 
-  /** A labelled element. `reviewed`: the open decision or finding is about it. `vertex`: the end that the
-   * arrow keys move; null if it is not selected.
+  /** A labelled element. `alone`: it is selected, and nothing else. `reviewed`: the open decision or finding is about
+   * it. `vertex`: the end that the arrow keys move; null if it is not selected.
    *
    * @param {ShownElement} element
    * @param {Observation} observation
-   * @param {{selected: boolean, hovered: boolean, reviewed: boolean, vertex: "anchor" | "end" | null}} look
+   * @param {{selected: boolean, alone: boolean, hovered: boolean, reviewed: boolean, vertex: "anchor" | "end" | null}} look
    */
-  element(element, observation, { selected, hovered, reviewed, vertex }) {
+  element(element, observation, { selected, alone, hovered, reviewed, vertex }) {
     const { color, shape, kind } = this.classOf(element.class_id);
     const anchor = this.view.toScreen(observation.anchor);
     const width = hovered ? 3 : 2;
@@ -59,24 +59,24 @@ export class Painter {
       this.#dot(anchor, color);
     }
     const name = element.notes?.length ? `${element.name} ◆${element.notes.length}` : element.name; // comments wait for an answer
-    const text = selected ? [name, ...missing(kind, observation)].join(" · ") : name;
-    this.#label(text, anchor, selected ? 3 : reviewed ? 2.5 : 2, observation.end);
+    const text = alone ? [name, ...missing(kind, observation)].join(" · ") : name;
+    this.#label(text, anchor, alone ? 3 : selected || reviewed ? 2.5 : 2, observation.end);
   }
 
   /** A proposal: dashed if confident, else dotted; never filled. The current one shows its key.
    *
    * @param {Proposal} proposal
    * @param {annotator.ProposalMark} mark
-   * @param {{selected: boolean, current: boolean, reviewed: boolean}} look
+   * @param {{selected: boolean, alone: boolean, current: boolean, reviewed: boolean}} look
    */
-  proposal(proposal, mark, { selected, current, reviewed }) {
+  proposal(proposal, mark, { selected, alone, current, reviewed }) {
     const { score, runner_up } = mark;
     this.#proposed(proposal.class_id, mark, { selected: selected || reviewed, dash: proposal.is_confident ? [5, 4] : [1.5, 4] });
     const name = proposal.track ? `${proposal.name} · ${counted(proposal.track.frames, "frame")}` : proposal.name;
     const sure = proposal.track ? proposal.track.doubt || "sure" : score === null ? "" : shownScore(score);
     const parts = [name, sure, current ? this.shownKey("Space") : ""];
     const text = current ? parts.filter(Boolean).join(" · ") : name;
-    this.#label(text, this.view.toScreen(mark.anchor), selected || current ? 3 : reviewed ? 2.5 : proposal.is_confident ? 1 : 0, mark.end);
+    this.#label(text, this.view.toScreen(mark.anchor), alone || current ? 3 : selected || reviewed ? 2.5 : proposal.is_confident ? 1 : 0, mark.end);
     if (!runner_up || !current) return;
     this.#proposed(proposal.class_id, runner_up, { dash: [1, 5] });
     this.#label(`second-best ${shownScore(runner_up.score)} · ${this.shownKey("K")}`, this.view.toScreen(runner_up.anchor), 0, runner_up.end);
@@ -122,6 +122,14 @@ export class Painter {
     this.#proposed(id, { anchor, end, anchor_known: true, end_known: end_known || !drawn }, { dash: [3, 2] });
     const hidden = end && drawn && !end_known ? `, bottom hidden (${this.shownKey("O")}: visible)` : "";
     this.#label(`snapped, ${by_px.toFixed(1)} px${hidden}`, this.view.toScreen(end ?? anchor), 3, null);
+  }
+
+  /** The rectangle that selects what it touches.
+   *
+   * @param {Rectangle} rectangle
+   */
+  rectangle({ from, to }) {
+    this.#box(this.view.toScreen(from), this.view.toScreen(to), ACCENT);
   }
 
   /** The whole pole that a click takes.

@@ -16,6 +16,7 @@ import { hints } from "./hints.js";
 import { Jumps } from "./jumps.js";
 import { Strip } from "./strip.js";
 import { TopBar } from "./topbar.js";
+import { toggled } from "./selection.js";
 import { LOOK_FIRST, SIDES, counted, shownScore } from "./values.js";
 import { QuestionBar } from "./questions.js";
 import { RenderCache, badge, capital, header, row } from "./widgets.js";
@@ -41,6 +42,8 @@ export class Panels {
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.timer = undefined;
     this.queued = false;
+    /** @type {string | null} */
+    this.revealed = null; // the element that the list was scrolled to
     this.cache = new RenderCache(state);
     state.onChange(() => this.#queue());
   }
@@ -81,9 +84,11 @@ export class Panels {
   #show() {
     const { state } = this;
     byId("scene").hidden = !state.aids.map; // a hidden scene is not drawn
+    byId("map-panel").classList.toggle("off", !state.aids.map);
     this.parts.forEach((part) => part.show());
     this.cache.show("classes", [state.classId, state.labels.counts, state.workspace.classes], () => this.#classes());
-    this.cache.show("elements", [state.elements, state.proposals, state.nearby, state.selected, state.isUnknown], () => this.#elements());
+    this.cache.show("elements", [state.elements, state.proposals, state.nearby, state.selected, state.isUnknown, state.aids.map], () => this.#elements());
+    this.#revealChosen();
     this.cache.show("card", [state.selected, state.selectedElement, state.preview, state.previewed, state.connected, Boolean(state.drawing)], () => this.#card());
     this.cache.show("hints", hints(state), () => hints(state).map((hint) => hintItem(hint, this.keys)));
     this.#status();
@@ -103,24 +108,21 @@ export class Panels {
         el("span", { class: "dim", text: labels.counts[elementClass.id] ?? 0 })));
   }
 
-  /** Selects an element; with Ctrl, together with the one selected before, to link both.
+  /** Selects an element; with Ctrl, together with those selected before, or not any more.
    *
    * @param {string} id
    * @param {Click} event
    */
   #choose(id, event) {
-    const before = this.state.selected;
-    this.page.select(id);
-    const now = this.state.selected;
-    if ((event.ctrlKey || event.metaKey) && now && before && before.element !== id) {
-      this.state.set({ selected: { ...now, also: before.element } });
-    }
+    const { state, page } = this;
+    if ((event.ctrlKey || event.metaKey) && state.selected) page.tools.choose(toggled(state, id, state.selected.side));
+    else page.select(id);
   }
 
   #elements() {
     const { state } = this;
     const line = (/** @type {Pick<ShownElement, "id" | "name" | "class_id">} */ { id, name, class_id: classId }, /** @type {Child[]} */ details) =>
-      row({ chosen: id === state.selected?.element, onclick: (/** @type {Click} */ event) => this.#choose(id, event) },
+      row({ chosen: state.selectedIds.includes(id), onclick: (/** @type {Click} */ event) => this.#choose(id, event) },
         this.#glyph(state.classOf(classId)), el("span", { class: "fill", text: name }), ...details);
     const rows = [...state.elements].sort((a, b) => Number(Boolean(a.left_out)) - Number(Boolean(b.left_out)));
     const labelled = rows.map((element) => {
@@ -135,19 +137,27 @@ export class Panels {
     });
     const proposed = state.expected.map((proposal) => line(proposal, [scoreBar(proposal), el("span", { class: "views dim", text: depthOrOrigin(proposal) })]));
     const near = state.nearby.map((element) => line(element, [el("span", { class: "faint", text: whyListed(element) })]));
-    const count = (/** @type {unknown[]} */ list, /** @type {string} */ noun) => (list.length ? `${list.length} ${noun}` : "");
     const unknown = state.isUnknown ? el("p", { class: "empty dim", text: "Offline: the other labels of this frame are not known here. They show when the server is back." }) : null;
     const leftOut = rows.filter(({ left_out: isLeftOut }) => isLeftOut);
-    byId("elements-about").textContent = [`${rows.length - leftOut.length} ${unknown ? "drawn here" : "here"}`, count(proposed, "proposed"), count(near, "nearby"), count(leftOut, "left out")].filter(Boolean).join(", ");
-    byId("map-about").textContent = String(state.labels.mapped);
+    byId("elements-about").textContent = [`${rows.length - leftOut.length} ${unknown ? "drawn here" : "here"}`, count(proposed.length, "proposed"), count(near.length, "nearby"), count(leftOut.length, "left out")].filter(Boolean).join(", ");
+    byId("map-about").textContent = state.aids.map ? String(state.labels.mapped) : `off: ${this.keys.shown("F")} shows it`;
     byId("map-about").title = counted(state.labels.mapped, "element");
     const kept = rows.length - leftOut.length;
     return [unknown, ...labelled.slice(0, kept), ...proposed, ...near, ...labelled.slice(kept)];
   }
 
+  /** Scrolls the list to an element that was selected elsewhere. */
+  #revealChosen() {
+    const id = this.state.selected?.element ?? null;
+    if (id === this.revealed) return;
+    this.revealed = id;
+    document.querySelector("#elements .chosen")?.scrollIntoView({ block: "nearest" });
+  }
+
   #card() {
     const { state } = this;
     const { ownPreview: preview, drawing, selectedElement: element, selectedCandidate: candidate } = state;
+    if (state.isSeveral && !drawing) return this.#several();
     const card = preview?.card ?? null;
     const id = drawing?.class ?? element?.class_id ?? candidate?.class_id;
     if (id === undefined) return [header("Element", "nothing selected"), el("p", { class: "empty dim", text: "Click an element to see its depth, height and errors." })];
@@ -157,6 +167,16 @@ export class Panels {
     const views = count ? el("span", { class: "push chip", text: counted(count, "view") }) : null;
     const title = header(name, about, this.#glyph(state.classOf(id)), views);
     return [title, el("dl", { class: "numbers" }, ...numbers(card ?? this.#ownLengths(element), state.selected?.side ?? "left")), this.#notes(element), this.#decisions(element) ?? aboutTrack(candidate) ?? this.#missing() ?? this.#nearest(card) ?? warning(card), this.#buttons(element)];
+  }
+
+  /** The card of several selected elements and proposals: how many of each class. */
+  #several() {
+    const { workspace, selectedElements: elements, selectedProposals: proposals } = this.state;
+    const ofClass = (/** @type {{class_id: number}[]} */ all, /** @type {number} */ id) => all.filter(({ class_id: one }) => one === id).length;
+    const classes = workspace.classes.filter(({ id }) => ofClass([...elements, ...proposals], id));
+    const counts = classes.map((kind) => el("li", {}, this.#glyph(kind), el("span", { class: "fill", text: capital(kind.name) }),
+      el("span", { class: "dim", text: [count(ofClass(elements, kind.id), "labelled"), count(ofClass(proposals, kind.id), "proposed")].filter(Boolean).join(", ") })));
+    return [header(`${elements.length + proposals.length} selected`, "keys act on all of them"), el("ul", { class: "several" }, ...counts)];
   }
 
   /** That no other view shows the element larger, so that its labels there may follow this one.
@@ -270,6 +290,13 @@ export class Panels {
     }
   }
 }
+
+/** A number with what it counts; "" for none.
+ *
+ * @param {number} number
+ * @param {string} what
+ */
+const count = (number, what) => (number ? `${number} ${what}` : "");
 
 /** Why an element that is not labelled here is listed.
  *

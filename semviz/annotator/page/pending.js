@@ -113,8 +113,10 @@ export function withPending(elements, pending, frame, proposals = [], second = n
       for (const mark of marks) if (isShown(mark, frame, second)) add(result, mark, proposals);
       continue;
     }
-    const target = "observation_id" in edit ? find(result, edit.observation_id) : null;
-    if (target) change(target.element.observations, target.side, edit);
+    const ids = "observation_id" in edit ? [edit.observation_id] : "observation_ids" in edit ? edit.observation_ids : [];
+    for (const target of ids.map((id) => find(result, id))) {
+      if (target) change(target.element.observations, target.side, edit);
+    }
   }
   return result.filter(({ observations }) => SIDES.some((side) => observations[side]));
 }
@@ -141,11 +143,11 @@ function change(observations, side, edit) {
   const { anchor, end, anchor_known, end_known } = now;
   if (edit.kind === "move") {
     Object.assign(now, { anchor: edit.anchor_px ?? anchor, end: edit.end_px ?? end });
-  } else if (edit.kind === "set known") {
+  } else if (edit.kind === "set known" || edit.kind === "set known of many") {
     Object.assign(now, { anchor_known: edit.anchor_known ?? anchor_known, end_known: edit.end_known ?? end_known });
   } else if (edit.kind === "swap ends") {
     Object.assign(now, { anchor: end, end: anchor, anchor_known: end_known, end_known: anchor_known });
-  } else if (edit.kind === "delete") {
+  } else if (edit.kind === "delete" || edit.kind === "delete many") {
     delete observations[side];
   }
 }
@@ -265,12 +267,12 @@ function drawn(mark, proposal) {
  * @returns {annotator.PreviewDraftRequest["draft"]}
  */
 export function draftOf(state) {
-  const { drawing, dragged, selected, pending, aids, frame } = state;
+  const { drawing, dragged, selected, selectedId, pending, aids, frame } = state;
   const held = dragged && find(state.elements, dragged.observation)?.observation;
-  const isSaved = selected && !pending.some(({ edit }) => "element_id" in edit && edit.element_id === selected.element);
+  const isSaved = selectedId && !pending.some(({ edit }) => "element_id" in edit && edit.element_id === selectedId);
   return {
     frame_index: frame ?? 0,
-    selected_id: isSaved ? selected.element : null,
+    selected_id: isSaved ? selectedId : null,
     is_chosen: state.isChosen,
     side: selected?.side ?? "left",
     second: state.second,

@@ -18,6 +18,8 @@ const HINTS = [
   [["Space"], "before, after in one place"], [["Esc"], "back"], [["F2"], "images"],
 ];
 
+const NOT_YET = "Known once the poses are compared with the images.";
+
 export class PosePanels {
   /**
    * @param {State} state
@@ -37,11 +39,17 @@ export class PosePanels {
     byId("pose-bar").hidden = !trying;
     this.cache.show("pose-bar", [trying], () => this.#bar());
     this.cache.show("pose-wrong", shown, () => this.#wrong());
-    this.cache.show("pose-answers", [stretch, tried], () => this.#answers());
-    this.cache.show("pose-effects", [stretch], () => this.#effects());
+    this.cache.show("pose-answers", [stretch, tried, this.#isCompared], () => this.#answers());
+    this.cache.show("pose-effects", [stretch, this.#isCompared], () => this.#effects());
     this.cache.show("pose-moved", [stretch, this.state.selected?.element], () => this.#moved());
     this.cache.show("pose-hints", [], () => HINTS.map(([keys, text]) => this.#hint(/** @type {string[]} */ (keys), String(text))));
     byId("pose-count").textContent = [known?.poses?.sentence, known?.poses?.unchecked].filter(Boolean).join("; ");
+  }
+
+  /** Whether all poses are compared with the images. */
+  get #isCompared() {
+    const { known } = this.poses;
+    return Boolean(known?.poses) && known?.state !== "working";
   }
 
   #bar() {
@@ -92,7 +100,7 @@ export class PosePanels {
 
   #answers() {
     const { stretch, tried } = this.poses;
-    if (!stretch) return [header("What to do", ""), el("p", { class: "pose-text dim", text: "Nothing: no pose is in question." })];
+    if (!stretch) return [header("What to do", ""), el("p", { class: "pose-text dim", text: this.#isCompared ? "Nothing: no pose is in question." : NOT_YET })];
     const chosen = stretch.chosen && [
       el("p", { class: "pose-text" }, el("b", { text: CHOSEN[stretch.chosen] }), ` (${stretch.chosen_by})`),
       el("div", { class: "buttons" }, el("button", { onclick: () => this.poses.askAgain() }, "Use the given poses, and ask again")),
@@ -112,7 +120,7 @@ export class PosePanels {
 
   #effects() {
     const { stretch } = this.poses;
-    if (!stretch?.effects.length) return [header("What it changes", ""), el("p", { class: "pose-text dim", text: "Refining changes nothing here." })];
+    if (!stretch?.effects.length) return [header("What it changes", ""), el("p", { class: "pose-text dim", text: this.#isCompared ? "Refining changes nothing here." : NOT_YET })];
     return [
       header("What refining changes", stretch.where),
       el("table", {}, el("tr", {}, el("th"), el("th", { text: "before" }), el("th", { text: "after" })),

@@ -32,8 +32,8 @@ export function proposalCommands(state, actions, nextFrame) {
   return [
     { key: " ", group, title: "Accept the current proposal", run: proposal.accept },
     { key: " ", shift: true, group, title: "Accept all confident proposals", row: "Accept confident; all", run: proposal.acceptSure },
-    { key: "Enter", ctrl: true, group, title: "The same, mark as reviewed, next frame", row: "Accept confident, reviewed, next", run: (event) => goOn(proposal.acceptSure, event) },
-    { key: "Enter", ctrl: true, shift: true, group, title: "Accept every proposal, mark as reviewed, next frame", row: "Accept all, reviewed, next", words: "all looked", run: (event) => goOn(proposal.acceptFound, event) },
+    { key: "Enter", ctrl: true, group, title: "The same, mark as reviewed, next frame or back to the filmstrip", row: "Confident, reviewed; next or back to strip", run: (event) => goOn(proposal.acceptSure, event) },
+    { key: "Enter", ctrl: true, shift: true, group, title: "Accept every proposal, mark as reviewed, next frame", row: "All, reviewed; next or back to strip", words: "all looked", run: (event) => goOn(proposal.acceptFound, event) },
     { key: "g", shift: true, group, title: "Accept every proposal, weak ones too", row: "Accept confident; all", words: "all looked", run: proposal.acceptFound },
     { key: "x", group, title: "Reject: not here", run: () => proposal.dismiss("rejected") },
     { key: "n", group, title: "Reject: no longer there", run: () => proposal.dismiss("absent") },
@@ -70,7 +70,7 @@ export function proposing(state, actions) {
   };
   return {
     accept() {
-      if (state.currentProposal) accepted([state.currentProposal]);
+      accepted(state.currentProposals);
     },
     acceptSure() {
       accepted(state.confidentProposals);
@@ -90,23 +90,24 @@ export function proposing(state, actions) {
       state.set({ asked: { text: question, until: Date.now() + ASKED_MS } });
       actions.notify(question);
     },
-    /** Rejects the current proposal. Returns whether there was one.
+    /** Rejects the current proposal, or all selected ones. Returns whether there was one.
      *
      * @param {"rejected" | "absent" | "occluded"} why
      */
     dismiss(why) {
-      const proposal = state.currentProposal;
-      if (!proposal) return false;
-      if (proposal.track && why !== "rejected") {
+      const proposals = state.currentProposals;
+      const [first] = proposals;
+      const tracks = proposals.filter(({ track }) => track).map(({ id }) => id);
+      const marked = proposals.filter(({ track }) => !track);
+      if (!first) return false;
+      if (tracks.length && why !== "rejected") {
         actions.notify("A track is accepted or rejected in all its images. Accept it, then delete single views.");
         return true;
       }
-      if (proposal.track) {
-        actions.submit({ kind: "reject tracks", track_ids: [proposal.id] });
-        return true;
-      }
-      actions.submit({ kind: "dismiss", dismissals: dismissals(proposal, why) });
-      if (why === "rejected" && proposal.origin !== "detector") actions.select(proposal.id); // what is drawn next continues it
+      if (tracks.length) actions.submit({ kind: "reject tracks", track_ids: tracks });
+      if (marked.length) actions.submit({ kind: "dismiss", dismissals: marked.flatMap((proposal) => dismissals(proposal, why)) });
+      if (proposals.length > 1) actions.select(null);
+      else if (why === "rejected" && marked.length && first.origin !== "detector") actions.select(first.id); // what is drawn next continues it
       return true;
     },
     swap() {

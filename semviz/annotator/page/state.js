@@ -1,9 +1,9 @@
 // @ts-check
 // The state of the page and what follows from it. No DOM here.
 /** @import {annotator} from "/static/protocol" */
-/** @import {Aids, Brightness, Correction, Dragged, Drawing, ElementClass, Entry, Ghost, Proposal, OpenReview, PageLabels, Point, Question, Selected, ShownElement, Side} from "./values.js" */
+/** @import {Aids, Brightness, Correction, Dragged, Drawing, ElementClass, Entry, Ghost, Proposal, OpenReview, PageLabels, Point, Question, Rectangle, Selected, ShownElement, Side} from "./values.js" */
 import { find, isSettled, standing, swapped, withPending } from "./pending.js";
-import { SIDES } from "./values.js";
+import { NONE_CHOSEN, SIDES } from "./values.js";
 
 export const LEAST_SCORE = 0.05; // of a proposal that was found in the image; below, it is where the element should be
 
@@ -37,9 +37,13 @@ export class State {
     this.wish = null; // for another second image than the usual one; see second.js
     /** @type {"images" | "filmstrip" | "tracks" | "poses" | "team" | "drive"} */
     this.view = "images"; // the tab
-    this.classId = 0; // for the next element
+    /** @type {number[]} */
+    this.leftStrip = []; // the frames of the filmstrip that was left for one of them, to draw what it lacks there
+    this.classId = 0; // for the next element; see nextClass
     /** @type {Selected | null} */
     this.selected = null; // with the side of the selected observation
+    /** @type {Rectangle | null} */
+    this.rectangle = null; // being drawn to select several
     /** @type {"anchor" | "end"} */
     this.vertex = "anchor"; // which end of the selected pole the arrows move
     /** @type {Aids} */
@@ -72,7 +76,7 @@ export class State {
     this.review = null; // the open decision or finding; see review.js
     /** @type {Question | null} */
     this.question = null; // about a refused edit
-    this.chosen = { element: "", frame: -1 }; // what a person selected last, and where
+    this.chosen = NONE_CHOSEN; // what a person selected last, and where
     /** @type {Entry[]} */
     this.pending = []; // unsaved edits, oldest first
     /** @type {{request: string, operation: number} | null} */
@@ -115,7 +119,7 @@ export class State {
 
   /** What the card is about: the drawing or the selected element. */
   get subject() {
-    return this.drawing ? "drawing" : this.selected?.element ?? "";
+    return this.drawing ? "drawing" : this.selectedId ?? "";
   }
 
   /** Numbers and guides of the drawing or selected element; null until they have arrived. */
@@ -123,9 +127,25 @@ export class State {
     return this.previewed.frame === this.frame && this.previewed.subject === this.subject ? this.preview : null;
   }
 
+  /** Whether the frame on screen was opened from the filmstrip, which is shown next as it was left. */
+  get isOfStrip() {
+    return this.leftStrip.includes(this.frame ?? -1);
+  }
+
   /** Whether a person selected the selected element in this frame: it did not only stay selected. */
   get isChosen() {
     return this.selected?.element === this.chosen.element && this.frame === this.chosen.frame;
+  }
+
+  /** The class of what is drawn next in an image: that of an element that a person selected to be drawn there, else the
+   * chosen one.
+   *
+   * @param {Side} side
+   */
+  nextClass(side) {
+    const selected = this.selectedElement ?? this.selectedCandidate;
+    const isLabelled = Boolean(this.selectedElement?.observations[side]);
+    return selected && this.isChosen && !isLabelled ? selected.class_id : this.classId;
   }
 
   /** The last operation that both the frame and the list of frames show. */
@@ -239,6 +259,18 @@ export class State {
     return named(pointed) ?? named(selected?.element) ?? proposals[0] ?? null;
   }
 
+  /** The proposals among several that are selected; none if it is one only. */
+  get selectedProposals() {
+    const ids = new Set(this.isSeveral && this.aids.proposals ? this.selectedIds : []);
+    return this.proposals.filter(({ id }) => ids.has(id));
+  }
+
+  /** The proposals that keys act on: all selected ones if they are several, else the current one. */
+  get currentProposals() {
+    const { selectedProposals: several, currentProposal: current } = this;
+    return several.length ? several : current ? [current] : [];
+  }
+
   /** Proposals whose marks are all confident. */
   get confidentProposals() {
     return this.aids.proposals ? this.proposals.filter((proposal) => proposal.is_confident) : [];
@@ -257,8 +289,37 @@ export class State {
     return this.ordered.order;
   }
 
+  /** The ids of all that is selected. */
+  get selectedIds() {
+    return this.selected ? [this.selected.element, ...(this.selected.also ?? [])] : [];
+  }
+
+  get isSeveral() {
+    return Boolean(this.selected?.also?.length);
+  }
+
+  /** The id of what is selected, if it is one only. */
+  get selectedId() {
+    return this.isSeveral ? null : this.selected?.element ?? null;
+  }
+
+  /** The selected element, if it is one only. */
   get selectedElement() {
-    return this.elements.find((element) => element.id === this.selected?.element) ?? null;
+    return this.elements.find(({ id }) => id === this.selectedId) ?? null;
+  }
+
+  /** The labelled ones of several selected elements; none if it is one only. */
+  get selectedElements() {
+    const ids = new Set(this.isSeveral ? this.selectedIds : []);
+    return this.elements.filter(({ id }) => ids.has(id));
+  }
+
+  /** The observations of several selected elements on the selected side, with their elements. */
+  get selectedObservations() {
+    return this.selectedElements.flatMap((element) => {
+      const observation = this.selected && element.observations[this.selected.side];
+      return observation ? [{ element, observation }] : [];
+    });
   }
 
   /** The range of all frames, as people type one. */
@@ -269,7 +330,7 @@ export class State {
 
   /** A selected element that is not labelled here: a proposal or an element of near frames. */
   get selectedCandidate() {
-    const id = this.selected?.element;
+    const id = this.selectedId;
     return [...this.proposals, ...this.nearby].find((candidate) => candidate.id === id) ?? null;
   }
 

@@ -41,10 +41,12 @@ function personRow(team, { name, ranges, assigned, reviewed, pace, edits, last, 
   const here = present?.frames ?? [], element = present?.element ?? "";
   const isMe = name === state.workspace.author;
   const both = !isMe && element !== "" && element === state.selectedElement?.name && here.includes(state.frame ?? -1);
-  const where = here.length ? `frame ${here.join(", ")}${element ? `, ${element}` : ""}` : last ? `away, last edit ${new Date(last).toLocaleString([], WHEN)}` : "away";
+  const since = last ? new Date(last).toLocaleString([], WHEN) : "";
+  const where = here.length ? `frame ${here.join(", ")}${element ? `, ${element}` : ""}` : ["away", since].filter(Boolean).join(", ");
+  const about = here.length || !since ? where : `away, last edit ${since}`;
   return el("div", { class: isMe ? "team-person chosen" : "team-person" },
     el("span", { class: here.length ? "initials" : "initials away", text: initials(name) }),
-    el("div", { class: "team-name" }, el("b", { text: isMe ? `${name}, you` : name }), both ? el("span", { title: where }, el("span", { class: "warning", text: "◆ " }), `both in ${element}`) : el("span", { class: "dim", text: where, title: where })),
+    el("div", { class: "team-name" }, el("b", { text: isMe ? `${name}, you` : name }), both ? el("span", { title: where }, el("span", { class: "warning", text: "◆ " }), `both in ${element}`) : el("span", { class: "dim", text: where, title: about })),
     el("div", { class: "team-done" }, el("b", { text: assigned ? `${reviewed} / ${assigned}` : `${reviewed}` }), el("span", { class: "dim", text: done ? `${pace} in 8 h, done ${day(done)}` : `${counted(edits, "edit")}, ${pace} in 8 h` })),
     bar(team, ranges, here, team.shares.of(name)));
 }

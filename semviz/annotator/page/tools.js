@@ -3,9 +3,10 @@
 /** @import {Hit, Images} from "./images.js" */
 /** @import {Page} from "./main.js" */
 /** @import {State} from "./state.js" */
-/** @import {Drawing, Ghost, Proposal, Point, Side} from "./values.js" */
+/** @import {Drawing, Ghost, Proposal, Point, Selected, Side} from "./values.js" */
 import { pointerAt } from "/static/canvas.js";
 import { GhostFinder } from "./drafts.js";
+import { toggled, touched } from "./selection.js";
 import { SIDES, uuid7 } from "./values.js";
 
 const BESIDE = 8; // CSS pixels; a press this close outside the image counts as on its border
@@ -14,7 +15,7 @@ const DRAG_FROM = 4; // CSS pixels; a shorter move is a click
 /** A press that has not ended; `held`: the observation that a drag moves, as
  * it was after operation `since`.
  * @typedef {{
- *   side: Side, start: Point, last: Point, moved: boolean, mode: "" | "pan" | "finish" | "drag" | "draw" | "whole",
+ *   side: Side, start: Point, last: Point, moved: boolean, mode: "" | "pan" | "finish" | "drag" | "draw" | "whole" | "select",
  *   ghost?: Ghost, held?: {hit: Hit, grab: Point, anchor: Point, end: Point | null, since: {operation: number, hash: string}},
  * }} Press */
 
@@ -47,7 +48,7 @@ export class Tools {
   cancel() {
     const had = this.state.drawing || this.press?.moved;
     this.press = null;
-    this.state.set({ drawing: null, dragged: null });
+    this.state.set({ drawing: null, dragged: null, rectangle: null });
     if (had) this.page.preview();
     return Boolean(had);
   }
@@ -68,10 +69,12 @@ export class Tools {
       press.mode = "pan";
     } else if (this.state.drawing) {
       press.mode = "finish";
+    } else if (event.ctrlKey || event.metaKey) {
+      press.mode = "select";
     } else {
       const hit = event.shiftKey ? null : this.images.hit(side, point);
       const ghost = event.shiftKey ? null : this.ghosts.at(side, this.images.view.toImage(point));
-      if (hit) this.#take(press, hit, event);
+      if (hit) this.#take(press, hit);
       else if (ghost) Object.assign(press, { mode: "whole", ghost });
       else if (this.#begin(side, this.images.view.toImage(point), event.shiftKey)) press.mode = "draw";
     }
@@ -124,19 +127,16 @@ export class Tools {
    *
    * @param {Press} press
    * @param {Hit} hit
-   * @param {PointerEvent} event
    */
-  #take(press, hit, event) {
+  #take(press, hit) {
     const { side } = press;
     const mark = this.state.elements.find(({ id }) => id === hit.element)?.observations[side] ?? this.#track(hit.element)?.marks[side];
     if (!mark) return;
     const { anchor, end } = mark;
     press.mode = "drag";
     press.held = { hit, grab: this.images.view.toImage(press.start), anchor, end, since: this.state.lastShown };
-    const linked = event.ctrlKey || event.metaKey;
-    const also = linked && this.state.selected ? this.state.selected.element : null;
     this.state.set({
-      selected: { element: hit.element, side, also: also === hit.element ? null : also },
+      selected: { element: hit.element, side },
       vertex: hit.part === "end" ? "end" : "anchor",
       chosen: { element: hit.element, frame: this.state.frame ?? -1 },
     });
@@ -153,7 +153,7 @@ export class Tools {
     const near = BESIDE / this.images.view.scale;
     if (!this.images.bitmap(side) || !this.#isInside(side, pixel, near) || !this.page.mayEdit()) return null;
     const anchor = this.#inside(side, pixel);
-    const id = this.state.classId;
+    const id = this.state.nextClass(side);
     const isLine = this.state.classOf(id).kind === "line";
     /** @type {Drawing} */
     const drawing = {
@@ -181,6 +181,8 @@ export class Tools {
       press.last = point;
     } else if (press?.mode === "whole") {
       if (press.moved && this.#begin(side, this.images.view.toImage(press.start))) press.mode = "draw"; // a stroke
+    } else if (press?.mode === "select") {
+      if (press.moved) this.state.set({ rectangle: { side, from: this.images.view.toImage(press.start), to: this.images.view.toImage(point) } });
     } else if (press?.mode === "drag" && press.moved && this.page.mayEdit()) {
       this.#drag(side, press, point);
     } else if (this.state.drawing?.side === side) {
@@ -260,6 +262,7 @@ export class Tools {
     this.press = null;
     if (!press) return;
     if (press.mode === "drag" && dragged) this.#drop(dragged, press.held?.since);
+    else if (press.mode === "select") this.#select(press);
     else if (press.mode === "whole" && press.ghost) this.#saveWhole(press.ghost);
     else if (press.mode === "draw" && drawing) this.#released(press, drawing);
     else if (press.mode === "finish" && drawing?.side === side) {
@@ -275,6 +278,27 @@ export class Tools {
    */
   #track(element) {
     return this.state.proposals.find(({ id, track }) => id === element && track);
+  }
+
+  /** Selects what the rectangle touches; a click adds one to the selection, or takes it out.
+   *
+   * @param {Press} press
+   */
+  #select({ side, start }) {
+    const { rectangle } = this.state;
+    const id = this.images.hit(side, start)?.element ?? this.images.hitProposal(side, start)?.id;
+    if (rectangle) this.choose(touched(this.state, rectangle));
+    else if (id) this.choose(toggled(this.state, id, side));
+  }
+
+  /** Makes something the selection.
+   *
+   * @param {Selected | null} selected
+   */
+  choose(selected) {
+    const chosen = { element: selected?.element ?? "", frame: this.state.frame ?? -1 };
+    this.state.set({ selected, rectangle: null, vertex: "anchor", chosen });
+    this.page.preview();
   }
 
   /** Saves a drag; that of a track's mark is kept until the track is accepted.
@@ -334,7 +358,7 @@ export class Tools {
       end_px: end,
       anchor_known: anchor_known && !(end && this.#isCut(side, anchor)),
       end_known: end_known && !(end && this.#isCut(side, end)),
-      selected_id: this.state.selected?.element ?? null,
+      selected_id: this.state.selectedId,
       is_chosen: this.state.isChosen,
       asks_same: !onTop,
       snap: this.state.aids.snap && !box,
@@ -360,7 +384,7 @@ export class Tools {
       end_px: end,
       anchor_known,
       end_known,
-      selected_id: this.state.selected?.element ?? null,
+      selected_id: this.state.selectedId,
       is_chosen: this.state.isChosen,
       asks_same: true,
       snap: false,
@@ -370,7 +394,7 @@ export class Tools {
 
   #cancelPress() {
     this.press = null;
-    this.state.set({ dragged: null });
+    this.state.set({ dragged: null, rectangle: null });
   }
 
   #leave() {

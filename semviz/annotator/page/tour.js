@@ -96,8 +96,8 @@ const STEPS = [
     at: ["classes"],
     done: (before, now) => now.operation > before.operation,
     lines: [
-      [key("1"), " selects the class pole. Click the pole's peak in the left image, then its bottom."],
-      ["The second click saves. ", key("Esc"), " before it cancels the drawing."],
+      [key("1"), " selects the class pole. Point at a pole: where it is dashed, a click takes it. Else click its peak, then its bottom."],
+      [key("Esc"), " cancels a drawing; ", key("Ctrl Z"), " undoes what is saved."],
     ],
   },
   {

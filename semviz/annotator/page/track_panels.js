@@ -140,7 +140,7 @@ export class TrackPanels {
     const kind = state.classOf(row.class_id);
     const [first, last] = this.tracks.table.span(row).map((place) => this.tracks.frameAt(place));
     return [
-      classGlyph(kind, state.colorOf(kind)), el("h2", { text: row.name }), el("span", { class: "about", text: `${kind.name} · frames ${first}–${last}` }),
+      classGlyph(kind, state.colorOf(kind)), el("h2", { text: row.name }), el("span", { class: "about", text: `frames ${first}–${last} · ${kind.name}` }),
       el("span", { class: "chip push", text: counted(row.views, row.number < 0 ? "detection" : "view") }),
     ];
   }

@@ -3,6 +3,7 @@
 /** @import {annotator} from "/static/protocol" */
 
 const MARGIN_PX = 28;
+const LABEL = [56, 16]; // size of the label of the frame on screen, which has its place before others
 
 export class Trajectory {
   /**
@@ -68,9 +69,10 @@ export class Trajectory {
     this.points.forEach(([x, y]) => context.lineTo(x, y));
     context.stroke();
     const [first, last] = [this.points[0], this.points[this.points.length - 1]];
-    if (this.frame !== drive.frames[0]) context.fillText("start", first[0] - 4, first[1] - 9);
-    if (this.points.length > 1 && this.frame !== drive.frames[drive.frames.length - 1]) context.fillText("end", last[0] - 4, last[1] - 9);
     const here = this.points[drive.frames.indexOf(this.frame ?? -1)];
+    const isFree = (/** @type {[number, number]} */ [x, y]) => !here || Math.abs(x - here[0]) > LABEL[0] || Math.abs(y - here[1]) > LABEL[1];
+    if (isFree(first)) context.fillText("start", first[0] - 4, first[1] - 9);
+    if (this.points.length > 1 && isFree(last)) context.fillText("end", last[0] - 4, last[1] - 9);
     if (here) this.#mark(context, here, color("--text"), `frame ${this.frame}`);
     this.#scaleBar(context, scale, width, height, color("--text"));
   }

@@ -37,12 +37,17 @@
  * @typedef {{observation: string, anchor: Point | null, end: Point | null}} Dragged */
 /** The ends by which a mark of a track was replaced before it is accepted; `track`: the track's id.
  * @typedef {{track: string, anchor: Point, end: Point | null}} Correction */
-/** The selection; `also`: a second element, to be linked.
- * @typedef {{element: string, side: Side, also?: string | null}} Selected */
+/** The selection; `also`: more elements or proposals, for commands on several.
+ * @typedef {{element: string, side: Side, also?: string[]}} Selected */
+/** A rectangle that selects what it touches, in pixels of an image.
+ * @typedef {{side: Side, from: Point, to: Point}} Rectangle */
 /** @typedef {{snap: boolean, whole: boolean, loupe: boolean, guides: boolean, proposals: boolean, bright: boolean, map: boolean, backdrop: boolean}} Aids */
 /** @typedef {{brightness: number, contrast: number}} Brightness */
 /** A refused edit, and what the user may answer; the edit waits until then. `conflict`: who changed the same, and when. `notMade`: the edit is dropped.
  * @typedef {{entry: Entry, text: string, answers: {title: string, run: () => void}[], conflict?: {operation: number, author: string, time: string}, notMade?: boolean}} Question */
+
+/** That nobody selected an element in this frame. */
+export const NONE_CHOSEN = { element: "", frame: -1 };
 
 /** @type {Side[]} */
 export const SIDES = ["left", "right"];

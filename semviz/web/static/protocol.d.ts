@@ -90,14 +90,14 @@ export interface AlignLabelsEdit {
 export interface AnswerView {
   name: string;
   title: string;
-  edit: AddObservation | AddMany | Dismiss | MoveObservation | ReSnap | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | SetClassOfViews | SetAttribute | ReviewFrame | AcceptFrame | SendBackFrame | DecideElements | RevokeDecision | DeleteNote;
+  edit: AddObservation | AddMany | Dismiss | MoveObservation | ReSnap | SetKnown | SetKnownOfMany | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | SetClassOfMany | SetClassOfViews | SetAttribute | ReviewFrame | AcceptFrame | SendBackFrame | DecideElements | RevokeDecision | DeleteNote;
 }
 
 /** Apply an edit; its ``id`` is stored, so a request that is sent twice is applied once. */
 export interface ApplyEditRequest {
   type: "apply_edit";
   id: string;
-  edit: DrawEdit | AcceptEdit | MergeFrameEdit | AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit | AlignLabelsEdit | NoteEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | ReSnap | SetKnown | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | SetClassOfViews | SetAttribute | ReviewFrame | AcceptFrame | SendBackFrame | DecideElements | RevokeDecision | DeleteNote;
+  edit: DrawEdit | AcceptEdit | MergeFrameEdit | AcceptTracksEdit | RejectTracksEdit | AcceptSureTracksEdit | AlignLabelsEdit | NoteEdit | UndoEdit | RedoEdit | NameEdit | RestoreEdit | AddObservation | AddMany | Dismiss | MoveObservation | ReSnap | SetKnown | SetKnownOfMany | SwapEnds | DeleteObservation | DeleteMany | DeleteElement | Link | Unlink | SetClass | SetClassOfMany | SetClassOfViews | SetAttribute | ReviewFrame | AcceptFrame | SendBackFrame | DecideElements | RevokeDecision | DeleteNote;
   base?: EditBase | null;
 }
 
@@ -1098,6 +1098,13 @@ export interface SetClass {
   kind: "set class";
 }
 
+/** Change the class of several elements, all or none, each like ``SetClass``. */
+export interface SetClassOfMany {
+  element_ids: Array<string>;
+  class_id: number;
+  kind: "set class of many";
+}
+
 /** Change the class of some observations of an element, within its kind. If they are not all of its observations, they become a new element, kept apart from it. */
 export interface SetClassOfViews {
   observation_ids: Array<string>;
@@ -1112,6 +1119,14 @@ export interface SetKnown {
   anchor_known?: boolean | null;
   end_known?: boolean | null;
   kind: "set known";
+}
+
+/** Set whether the ends of several poles are visible, all or none, each like ``SetKnown``. */
+export interface SetKnownOfMany {
+  observation_ids: Array<string>;
+  anchor_known?: boolean | null;
+  end_known?: boolean | null;
+  kind: "set known of many";
 }
 
 /** Use dark or light colours. */
