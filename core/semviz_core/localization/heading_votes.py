@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from semviz_core.common.arrays import BoolArray, FloatArray
-from semviz_core.common.jit import compiled
+from semviz_core.common.jit import compiled, compiled_leaf
 from semviz_core.localization.prior_residuals import road_heights
 from semviz_core.localization.problem import PoseProblem, PriorRecord, rows_within
 from semviz_core.localization.upright import (
@@ -183,7 +183,7 @@ def _blocks(prior: PriorRecord, gate: float, block_m: float) -> BoolArray:
     return blocks
 
 
-@compiled
+@compiled_leaf
 def _keep_peaks(
     prior: PriorRecord,
     position_m: tuple[float, float, float],
@@ -219,7 +219,7 @@ def _keep_best(pool: _Pool, count: int, wanted: int) -> int:
     return len(best)
 
 
-@compiled
+@compiled_leaf
 def heading_allowed(prior: PriorRecord, heading: float) -> bool:
     """Return whether the prior's heading, if any, allows this one (rad)."""
     if not prior.value.has_heading:
