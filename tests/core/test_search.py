@@ -19,10 +19,12 @@ from semviz_core.localization.association import (
 )
 from semviz_core.localization.heading_votes import (
     BINS,
+    BLOCK,
     DEFAULT_EFFORT,
     GATE_SIGMAS,
     GATE_WIDER_M,
     WIDE,
+    _blocks,
     vote_headings,
 )
 from semviz_core.localization.problem import FEW, SIGHT_M, PoseProblem, PriorRecord, rows_within
@@ -61,6 +63,20 @@ def known_of(problem: LocalizationProblem) -> PriorRecord:
 def best_view(scene: PoseProblem, known: PriorRecord) -> UprightView:
     ups, sigma_rad = likely_ups(scene, known)
     return upright_view(scene, ups[0], sigma_rad)
+
+
+@pytest.mark.parametrize("gate", [3.0, 16.0, 31.5, 76.0])
+def test_the_searched_blocks_are_those_with_a_position_within_the_gate(gate: float) -> None:
+    step_m = DEFAULT_EFFORT.step_m
+    blocks = _blocks(known_of(frames(1)[0]), gate, step_m)
+    most = int(gate / step_m) + 2 * BLOCK
+    column, row = np.mgrid[-most : most + 1, -most : most + 1]
+    inside = step_m * np.hypot(column, row) <= gate
+    middle = len(blocks) // 2
+    of = [np.round(axis[inside] / BLOCK).astype(int) + middle for axis in (column, row)]
+    needed = np.zeros_like(blocks)
+    needed[tuple(of)] = True
+    np.testing.assert_array_equal(blocks, needed)
 
 
 @pytest.mark.parametrize("spread", [0.0, 1.0, 4.0])

@@ -103,7 +103,7 @@ def vote_headings(
     elements, _ = upright_elements(problem)
     gate = GATE_SIGMAS * prior.value.position_sigma_m[0] + GATE_WIDER_M
     block_m = BLOCK * effort.step_m
-    blocks = _blocks(prior, gate, block_m)
+    blocks = _blocks(prior, gate, effort.step_m)
     reach_m = min(proposing_reach(problem), FARTHEST_M)
     weights = vote_weights(view, effort.step_m)
     voters = room_for_voters(len(problem.seen), 0)
@@ -161,16 +161,18 @@ def grid_step(problem: PoseProblem, step_m: float) -> float:
 
 
 @compiled
-def _blocks(prior: PriorRecord, gate: float, block_m: float) -> BoolArray:
-    """Return which blocks (2k + 1, 2k + 1), by column and row, to search: those within the gate,
-    and of a wide gate only those near the road, if it is known."""
+def _blocks(prior: PriorRecord, gate: float, step_m: float) -> BoolArray:
+    """Return which blocks (2k + 1, 2k + 1), by column and row, to search: those with a position
+    within the gate, and of a wide gate only those near the road, if it is known."""
+    block_m = BLOCK * step_m
     k = int(gate / block_m) + 1
     blocks = np.zeros((2 * k + 1, 2 * k + 1), dtype=np.bool_)
     if gate < WIDE_GATE_M or not len(prior.road_m):
         for column in range(-k, k + 1):
-            for row in range(-k, k + 1):  # unless all corners are outside the gate
-                inside = np.hypot(column, row) * block_m <= gate + block_m
-                blocks[column + k, row + k] = inside
+            for row in range(-k, k + 1):
+                east = max(BLOCK * abs(column) - BLOCK // 2, 0)
+                north = max(BLOCK * abs(row) - BLOCK // 2, 0)
+                blocks[column + k, row + k] = np.hypot(east, north) * step_m <= gate
         return blocks
     reach = int(np.ceil(OFF_ROAD_M / block_m))
     for point in prior.road_m:

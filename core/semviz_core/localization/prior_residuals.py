@@ -116,14 +116,14 @@ def road_heights(prior: PriorRecord, x: float, y: float) -> FloatArray:
     heights[0] = prior.value.position_m[2]
     count = 0
     while count < MOST_ROADS:
-        least, best = _FAR_M2, -1
-        for k in range(*_rows_between(road, x, NEAR_ROAD_M)):
+        least, best = ROAD_WIDTH_M**2 if count else _FAR_M2, -1
+        for k in range(*_rows_between(road, x, ROAD_WIDTH_M if count else NEAR_ROAD_M)):
             square = (road[k, 0] - x) ** 2 + (road[k, 1] - y) ** 2
             if square < least and _is_new(road, chosen[:count], k):
                 least, best = square, k
         if count == 0 and least > NEAR_ROAD_M**2:
             least, best = _nearest(road, x, y)
-        if best < 0 or (count and least > ROAD_WIDTH_M**2):
+        if best < 0:
             break
         chosen[count], heights[count] = best, road[best, 2]
         count += 1
