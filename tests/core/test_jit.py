@@ -7,9 +7,12 @@ import sys
 from pathlib import Path
 from threading import Event, Thread
 
+import numpy as np
 import pytest
+from numba.core.errors import NumbaError
 
 from semviz_core.common import jit, linalg
+from semviz_core.common.arrays import FloatArray
 
 HOLD = """
 import sys
@@ -116,3 +119,13 @@ def test_code_is_kept_by_module_wherever_it_is_installed() -> None:
     }
     assert Path(located) == Path(jit._cache_folder()) / linalg.__name__
     assert jit._SourcesLocator.from_function(compiled_in, "here.py") is None, "not ours"
+
+
+def test_a_leaf_that_allocates_an_array_is_refused() -> None:
+    """It counts no references, so nothing would free the array."""
+
+    def doubled(values: FloatArray) -> FloatArray:
+        return 2.0 * values
+
+    with pytest.raises(NumbaError):
+        jit.compiled_leaf(doubled)(np.ones(3))

@@ -10,17 +10,25 @@ from hypothesis.extra.numpy import arrays
 from problem_frames import EXACT, frames
 
 from semviz_core.base.elements import Elements3D, joined
-from semviz_core.localization.association import associate, log_likelihood, one_to_one
+from semviz_core.localization.association import (
+    associate,
+    gated_pairs,
+    log_likelihood,
+    one_to_one,
+    pair_gain,
+)
 from semviz_core.localization.heading_votes import (
     BINS,
+    BLOCK,
     DEFAULT_EFFORT,
     GATE_SIGMAS,
     GATE_WIDER_M,
     WIDE,
+    _blocks,
     vote_headings,
 )
 from semviz_core.localization.problem import FEW, SIGHT_M, PoseProblem, PriorRecord, rows_within
-from semviz_core.localization.residuals import EXACT_POSE
+from semviz_core.localization.residuals import EXACT_POSE, new_rows
 from semviz_core.localization.search import (
     APART_M,
     APART_RAD,
@@ -55,6 +63,41 @@ def known_of(problem: LocalizationProblem) -> PriorRecord:
 def best_view(scene: PoseProblem, known: PriorRecord) -> UprightView:
     ups, sigma_rad = likely_ups(scene, known)
     return upright_view(scene, ups[0], sigma_rad)
+
+
+@pytest.mark.parametrize("gate", [3.0, 16.0, 31.5, 76.0])
+def test_the_searched_blocks_are_those_with_a_position_within_the_gate(gate: float) -> None:
+    step_m = DEFAULT_EFFORT.step_m
+    blocks = _blocks(known_of(frames(1)[0]), gate, step_m)
+    most = int(gate / step_m) + 2 * BLOCK
+    column, row = np.mgrid[-most : most + 1, -most : most + 1]
+    inside = step_m * np.hypot(column, row) <= gate
+    middle = len(blocks) // 2
+    of = [np.round(axis[inside] / BLOCK).astype(int) + middle for axis in (column, row)]
+    needed = np.zeros_like(blocks)
+    needed[tuple(of)] = True
+    np.testing.assert_array_equal(blocks, needed)
+
+
+@pytest.mark.parametrize("spread", [0.0, 1.0, 4.0])
+def test_the_gate_by_angle_drops_no_pair_that_fits(spread: float) -> None:
+    """Poses beside the true one, with a covariance as wide: poles with and without a peak."""
+    rng = np.random.default_rng(3)
+    covariance = np.diag(spread * np.r_[[0.3**2] * 3, [np.deg2rad(0.7) ** 2] * 3])
+    fitting = 0
+    for problem in frames(6):
+        hidden = rng.random(len(problem.observed)) < 0.3
+        known = problem.observed.anchor_known & ~(hidden & problem.observed.is_line)
+        scene = scene_of(replace(problem, observed=replace(problem.observed, anchor_known=known)))
+        R, t = problem.T_camera_map.writable()
+        t += np.sqrt(spread) * rng.normal(0.0, 0.3, 3)
+        all_pairs = np.argwhere(scene.compatible)
+        gain = [pair_gain(scene, R, t, i, j, covariance, new_rows()) for i, j in all_pairs]
+        fits = np.array(gain) > 0.0
+        seen, mapped, _ = gated_pairs(scene, R, t, covariance)
+        assert set(map(tuple, all_pairs[fits])) <= set(zip(seen, mapped, strict=True))
+        fitting += fits.sum()
+    assert fitting > 30
 
 
 @given(gain=GAINS)

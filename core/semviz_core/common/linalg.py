@@ -6,10 +6,10 @@ A call into LAPACK would take longer than the arithmetic itself.
 import numpy as np
 
 from semviz_core.common.arrays import FloatArray
-from semviz_core.common.jit import compiled
+from semviz_core.common.jit import compiled, compiled_leaf
 
 
-@compiled
+@compiled_leaf
 def cholesky(matrix: FloatArray, size: int) -> bool:
     """Replace the lower triangle of ``matrix[:size, :size]`` by its Cholesky factor.
 
@@ -29,7 +29,7 @@ def cholesky(matrix: FloatArray, size: int) -> bool:
     return True
 
 
-@compiled
+@compiled_leaf
 def solve_cholesky(factor: FloatArray, vector: FloatArray) -> None:
     """Replace ``vector`` (s,) by the solution of L L^T x = vector, L the lower triangle."""
     size = len(vector)

@@ -19,7 +19,7 @@ from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.localization import Match, Refinement
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, int_array
 from semviz_core.common.errors import SemvizError
-from semviz_core.common.jit import compiled
+from semviz_core.common.jit import compiled, compiled_leaf
 from semviz_core.localization.prior_residuals import prior_chi2
 from semviz_core.localization.problem import PoseProblem, PriorRecord, rows_in_sight
 from semviz_core.localization.residuals import (
@@ -79,11 +79,10 @@ def gated_pairs(
     row, variance, direction = _directions(problem, R, t, pose_covariance)
     seen, mapped = np.empty(16, dtype=np.int64), np.empty(16, dtype=np.int64)
     gain, count, rows = np.empty(16), 0, new_rows()
+    near = np.empty(len(row), dtype=np.int64)
     for i in range(len(problem.seen)):
-        for k in range(len(row)):
-            j = row[k]
-            if not problem.compatible[i, j] or not _is_near(problem, i, direction[k], variance[k]):
-                continue
+        for k in range(_fill_near(problem, i, row, variance, direction, near)):
+            j = near[k]
             value = pair_gain(problem, R, t, i, j, pose_covariance, rows)
             if value == _NONE:
                 continue
@@ -138,7 +137,7 @@ def log_likelihood(
     return total + np.log(chance)
 
 
-@compiled
+@compiled_leaf
 def _center(R: FloatArray, t: FloatArray) -> tuple[float, float]:
     """Return x and y of the camera, in map coordinates."""
     x = -(R[0, 0] * t[0] + R[1, 0] * t[1] + R[2, 0] * t[2])
@@ -150,10 +149,10 @@ def _directions(
     problem: PoseProblem, R: FloatArray, t: FloatArray, pose_covariance: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Return the rows (k,) of the mapped elements that may be near an observed one in angle, the
-    variance (k,) in rad^2 and the unit direction (k, 3) of each one's anchor."""
+    variance (k,) in rad^2 and the unit direction (3, k) of each one's anchor."""
     in_sight, least = rows_in_sight(problem, *_center(R, t)), _least_cosine(problem)
     row, count = np.empty(len(in_sight), dtype=np.int64), 0
-    variance, direction = np.empty(len(in_sight)), np.empty((len(in_sight), 3))
+    variance, direction = np.empty(len(in_sight)), np.empty((3, len(in_sight)))
     position_variance, rotation_variance = (
         _largest(pose_covariance, 0),
         _largest(pose_covariance, 3),
@@ -165,15 +164,15 @@ def _directions(
         if z < least * reach:
             continue
         row[count] = j
-        direction[count, 0], direction[count, 1] = x / reach, y / reach
-        direction[count, 2] = z / reach
+        direction[0, count], direction[1, count] = x / reach, y / reach
+        direction[2, count] = z / reach
         spread = position_variance + _largest(problem.mapped[j].covariance_m2, 0)
         variance[count] = spread / max(square, 1.0) + rotation_variance
         count += 1
-    return row[:count], variance[:count], direction[:count]
+    return row[:count], variance[:count], direction[:, :count]
 
 
-@compiled
+@compiled_leaf
 def _least_cosine(problem: PoseProblem) -> float:
     """Return the least cosine to the optical axis of a direction near an observed element."""
     widest = 1.0
@@ -182,7 +181,7 @@ def _least_cosine(problem: PoseProblem) -> float:
     return np.cos(min(np.arccos(widest) + np.arccos(NEAR_COSINE), np.pi))
 
 
-@compiled
+@compiled_leaf
 def _largest(covariance: FloatArray, first: int) -> float:
     """Return an upper bound of the variance in any direction of three axes (Gershgorin)."""
     largest = 0.0
@@ -194,24 +193,39 @@ def _largest(covariance: FloatArray, first: int) -> float:
     return largest
 
 
-@compiled
-def _is_near(problem: PoseProblem, i: int, direction: FloatArray, variance: float) -> bool:
-    """Return whether a pair is so close in angle that its residual is worth computing."""
-    ray = problem.seen[i].anchor_ray
-    cosine = ray[0] * direction[0] + ray[1] * direction[1] + ray[2] * direction[2]
-    if cosine < NEAR_COSINE:
-        return False
-    focal = problem.setting.K[0, 0]
-    seen = max(problem.seen[i].variance_px2[0], problem.seen[i].variance_px2[1]) / (focal * focal)
-    gate = 1.5 * INLIER_CHI2[4] * (seen + variance)  # wider than the test that follows
-    if problem.seen[i].is_line:
-        plane = problem.seen[i].plane
-        distance = plane[0] * direction[0] + plane[1] * direction[1] + plane[2] * direction[2]
-        return distance * distance < gate
-    return 2.0 - 2.0 * cosine < gate
+@compiled_leaf
+def _fill_near(
+    problem: PoseProblem,
+    i: int,
+    row: IntArray,
+    variance: FloatArray,
+    direction: FloatArray,
+    near: IntArray,
+) -> int:
+    """Fill in the mapped rows so close to observed i in angle that residuals are worth computing;
+    return how many there are."""
+    seen, focal, count = problem.seen[i], problem.setting.K[0, 0], 0
+    ray, plane = seen.anchor_ray, seen.plane
+    own = max(seen.variance_px2[0], seen.variance_px2[1]) / (focal * focal)
+    for k in range(len(row)):
+        x, y, z = direction[0, k], direction[1, k], direction[2, k]
+        cosine = ray[0] * x + ray[1] * y + ray[2] * z
+        if cosine < NEAR_COSINE or not problem.compatible[i, row[k]]:
+            continue
+        gate = 1.5 * INLIER_CHI2[4] * (own + variance[k])  # wider than the test that follows
+        if seen.is_line:
+            distance = plane[0] * x + plane[1] * y + plane[2] * z
+            if distance * distance >= gate:
+                continue
+            if not (seen.known[0] and problem.mapped[row[k]].known[0]):
+                cosine = 1.0  # without both peaks, it may be anywhere along the pole
+        if 2.0 - 2.0 * cosine < gate:
+            near[count] = row[k]
+            count += 1
+    return count
 
 
-@compiled
+@compiled_leaf
 def pair_gain(
     problem: PoseProblem,
     R: FloatArray,
@@ -241,7 +255,7 @@ def pair_gain(
     return gain
 
 
-@compiled
+@compiled_leaf
 def _bottom_gain(problem: PoseProblem, i: int, count: int, used: int, rows: Rows) -> float:
     """Return what a bottom that may be hidden adds to the gain of the rows already counted."""
     e = rows.residual[count - 1]
@@ -253,7 +267,7 @@ def _bottom_gain(problem: PoseProblem, i: int, count: int, used: int, rows: Rows
     return np.log(seen * np.exp(-0.5 * e * e) + hidden) - density - problem.seen[i].clutter[2]
 
 
-@compiled
+@compiled_leaf
 def _recall(problem: PoseProblem, R: FloatArray, t: FloatArray, j: int) -> float:
     """Return the chance that a mapped element is detected, 0 out of view."""
     a, e = problem.mapped[j].anchor_m, problem.mapped[j].end_m
@@ -349,24 +363,31 @@ def sinkhorn_with_dustbin(log_kernel: FloatArray) -> FloatArray:
     is 0. Both scalings move half way at once: in turns, they converge only as 1/t where a dustbin
     is weak.
     """
-    m, n = log_kernel.shape
     seen, mapped = np.nonzero(log_kernel > -np.inf)  # few: most pairs are impossible
+    some = np.unique(mapped)  # a mapped element without a pair stays in the dustbin
+    column = np.searchsorted(some, mapped)
     kernel = np.empty(len(seen))
     for k in range(len(seen)):
         kernel[k] = np.exp(min(log_kernel[seen[k], mapped[k]], _LARGEST_NATS))
-    a, b = np.ones(m), np.ones(n)
-    rows, columns = np.empty(m), np.empty(n)
+    a, b = np.ones(len(log_kernel)), np.ones(len(some))
+    rows, columns = np.empty(len(a)), np.empty(len(b))
     for _ in range(MOST_ITERATIONS):
         rows[:], columns[:] = a, b
         for k in range(len(seen)):
-            mass = a[seen[k]] * kernel[k] * b[mapped[k]]
+            mass = a[seen[k]] * kernel[k] * b[column[k]]
             rows[seen[k]] += mass
-            columns[mapped[k]] += mass
+            columns[column[k]] += mass
         a /= np.sqrt(rows)
         b /= np.sqrt(columns)
-        if max(np.abs(rows - 1.0).max(), np.abs(columns - 1.0).max()) < TOLERANCE:
+        if not len(seen) or max(np.abs(rows - 1.0).max(), np.abs(columns - 1.0).max()) < TOLERANCE:
             break
-    return _closed(seen, mapped, kernel, a, b)
+    closed = _closed(seen, column, kernel, a, b)
+    probability = np.zeros((log_kernel.shape[0] + 1, log_kernel.shape[1] + 1))
+    probability[-1, :-1] = 1.0
+    probability[:, -1] = closed[:, -1]
+    for k in range(len(some)):
+        probability[:, some[k]] = closed[:, k]
+    return probability
 
 
 @compiled
@@ -418,7 +439,9 @@ def _mixed(score: FloatArray, gain: FloatArray) -> tuple[FloatArray, FloatArray]
     for row in range(b):
         if weight[row] > 0.0:
             probability += weight[row] * sinkhorn_with_dustbin(gain[row])
-            odds += weight[row] * np.exp(gain[row])
+            seen, mapped = np.nonzero(gain[row] > -np.inf)
+            for k in range(len(seen)):
+                odds[seen[k], mapped[k]] += weight[row] * np.exp(gain[row, seen[k], mapped[k]])
     return probability, np.log(odds)
 
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from semviz_core.common.arrays import BoolArray, FloatArray
-from semviz_core.common.jit import compiled
+from semviz_core.common.jit import compiled, compiled_leaf
 from semviz_core.localization.prior_residuals import road_heights
 from semviz_core.localization.problem import PoseProblem, PriorRecord, rows_within
 from semviz_core.localization.upright import (
@@ -103,7 +103,7 @@ def vote_headings(
     elements, _ = upright_elements(problem)
     gate = GATE_SIGMAS * prior.value.position_sigma_m[0] + GATE_WIDER_M
     block_m = BLOCK * effort.step_m
-    blocks = _blocks(prior, gate, block_m)
+    blocks = _blocks(prior, gate, effort.step_m)
     reach_m = min(proposing_reach(problem), FARTHEST_M)
     weights = vote_weights(view, effort.step_m)
     voters = room_for_voters(len(problem.seen), 0)
@@ -161,16 +161,18 @@ def grid_step(problem: PoseProblem, step_m: float) -> float:
 
 
 @compiled
-def _blocks(prior: PriorRecord, gate: float, block_m: float) -> BoolArray:
-    """Return which blocks (2k + 1, 2k + 1), by column and row, to search: those within the gate,
-    and of a wide gate only those near the road, if it is known."""
+def _blocks(prior: PriorRecord, gate: float, step_m: float) -> BoolArray:
+    """Return which blocks (2k + 1, 2k + 1), by column and row, to search: those with a position
+    within the gate, and of a wide gate only those near the road, if it is known."""
+    block_m = BLOCK * step_m
     k = int(gate / block_m) + 1
     blocks = np.zeros((2 * k + 1, 2 * k + 1), dtype=np.bool_)
     if gate < WIDE_GATE_M or not len(prior.road_m):
         for column in range(-k, k + 1):
-            for row in range(-k, k + 1):  # unless all corners are outside the gate
-                inside = np.hypot(column, row) * block_m <= gate + block_m
-                blocks[column + k, row + k] = inside
+            for row in range(-k, k + 1):
+                east = max(BLOCK * abs(column) - BLOCK // 2, 0)
+                north = max(BLOCK * abs(row) - BLOCK // 2, 0)
+                blocks[column + k, row + k] = np.hypot(east, north) * step_m <= gate
         return blocks
     reach = int(np.ceil(OFF_ROAD_M / block_m))
     for point in prior.road_m:
@@ -183,7 +185,7 @@ def _blocks(prior: PriorRecord, gate: float, block_m: float) -> BoolArray:
     return blocks
 
 
-@compiled
+@compiled_leaf
 def _keep_peaks(
     prior: PriorRecord,
     position_m: tuple[float, float, float],
@@ -219,7 +221,7 @@ def _keep_best(pool: _Pool, count: int, wanted: int) -> int:
     return len(best)
 
 
-@compiled
+@compiled_leaf
 def heading_allowed(prior: PriorRecord, heading: float) -> bool:
     """Return whether the prior's heading, if any, allows this one (rad)."""
     if not prior.value.has_heading:

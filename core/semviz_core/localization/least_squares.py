@@ -10,7 +10,7 @@ import numpy as np
 from semviz_core.base.frame import Belief, Prior
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, IntArray
-from semviz_core.common.jit import compiled
+from semviz_core.common.jit import compiled, compiled_leaf
 from semviz_core.common.linalg import cholesky, rotate_left, solve_cholesky
 from semviz_core.localization.prior_residuals import MOST_ROWS, prior_rows
 from semviz_core.localization.problem import PoseProblem, PriorRecord
@@ -178,7 +178,7 @@ def _linearize(
     return cost
 
 
-@compiled
+@compiled_leaf
 def _add_pair(
     problem: PoseProblem,
     rows: Rows,
@@ -209,7 +209,7 @@ def _add_pair(
     return cost + _add(rows.residual, rows.jacobian, count, 1.0, seen, gradient, information)
 
 
-@compiled
+@compiled_leaf
 def _add(
     residual: FloatArray,
     jacobian: FloatArray,

@@ -7,7 +7,7 @@ comes from the road the map carries; roads above one another, as at a bridge, ar
 import numpy as np
 
 from semviz_core.common.arrays import FloatArray, IntArray
-from semviz_core.common.jit import compiled
+from semviz_core.common.jit import compiled, compiled_leaf
 from semviz_core.localization.problem import PriorRecord
 
 MOST_ROWS = 12
@@ -73,7 +73,7 @@ def prior_chi2(prior: PriorRecord, R: FloatArray, t: FloatArray) -> float:
     return (residual[:count] ** 2).sum()
 
 
-@compiled
+@compiled_leaf
 def road_height(road_m: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return the height of a camera on the road at (x, y), and its slopes along x and y.
 
@@ -116,21 +116,21 @@ def road_heights(prior: PriorRecord, x: float, y: float) -> FloatArray:
     heights[0] = prior.value.position_m[2]
     count = 0
     while count < MOST_ROADS:
-        least, best = _FAR_M2, -1
-        for k in range(*_rows_between(road, x, NEAR_ROAD_M)):
+        least, best = ROAD_WIDTH_M**2 if count else _FAR_M2, -1
+        for k in range(*_rows_between(road, x, ROAD_WIDTH_M if count else NEAR_ROAD_M)):
             square = (road[k, 0] - x) ** 2 + (road[k, 1] - y) ** 2
             if square < least and _is_new(road, chosen[:count], k):
                 least, best = square, k
         if count == 0 and least > NEAR_ROAD_M**2:
             least, best = _nearest(road, x, y)
-        if best < 0 or (count and least > ROAD_WIDTH_M**2):
+        if best < 0:
             break
         chosen[count], heights[count] = best, road[best, 2]
         count += 1
     return heights[: max(count, 1)]
 
 
-@compiled
+@compiled_leaf
 def _rows_between(road_m: FloatArray, x: float, reach_m: float) -> tuple[int, int]:
     """Return the first and the last row + 1 of the road points within ``reach_m`` along x."""
     east_m = road_m[:, 0]
@@ -138,7 +138,7 @@ def _rows_between(road_m: FloatArray, x: float, reach_m: float) -> tuple[int, in
     return int(first), int(np.searchsorted(east_m, x + reach_m, side="right"))
 
 
-@compiled
+@compiled_leaf
 def _nearest(road_m: FloatArray, x: float, y: float) -> tuple[float, int]:
     """Return the squared distance of the nearest road point, and its row, -1 without a road."""
     least, best = _FAR_M2, -1
@@ -149,14 +149,14 @@ def _nearest(road_m: FloatArray, x: float, y: float) -> tuple[float, int]:
     return least, best
 
 
-@compiled
+@compiled_leaf
 def _same_pass(road_m: FloatArray, row: int, other: int) -> bool:
     east, north = road_m[other, 0] - road_m[row, 0], road_m[other, 1] - road_m[row, 1]
     rise = abs(road_m[other, 2] - road_m[row, 2])
     return rise <= SAME_PASS_M + STEEPEST * np.sqrt(east * east + north * north)
 
 
-@compiled
+@compiled_leaf
 def _is_new(road_m: FloatArray, chosen: IntArray, row: int) -> bool:
     """Return whether a road point is on another pass than those chosen, at another height."""
     new = True
@@ -186,7 +186,7 @@ def _position_rows(
     return 3
 
 
-@compiled
+@compiled_leaf
 def _heading_row(
     prior: PriorRecord, R: FloatArray, residual: FloatArray, jacobian: FloatArray, row: int
 ) -> None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from semviz_core.common.arrays import FloatArray, IntArray
-from semviz_core.common.jit import compiled
+from semviz_core.common.jit import compiled, compiled_leaf
 from semviz_core.common.linalg import cholesky, solve_cholesky
 from semviz_core.localization.problem import (
     PoseProblem,
@@ -113,7 +113,7 @@ def rate_poses(
     return rating
 
 
-@compiled
+@compiled_leaf
 def widest_tangent(view: UprightView) -> float:
     """Return the largest tangent of an observed azimuth."""
     widest = 0.0
@@ -123,7 +123,7 @@ def widest_tangent(view: UprightView) -> float:
     return widest
 
 
-@compiled
+@compiled_leaf
 def _best_gain(
     setting: Record,
     view: UprightView,
@@ -147,14 +147,14 @@ def _best_gain(
     return largest
 
 
-@compiled
+@compiled_leaf
 def ahead_and_left(pose: FloatArray, mapped: Record) -> tuple[float, float]:
     """Return how far ahead and to the left of a pose (6,) a mapped element is, in metres."""
     east, north = mapped.position_m[0] - pose[0], mapped.position_m[1] - pose[1]
     return pose[3] * east + pose[4] * north, pose[3] * north - pose[4] * east
 
 
-@compiled
+@compiled_leaf
 def direction_to(ahead: float, left: float, sigmas: PoseSigmas) -> Direction:
     """Return the Direction of an element so many metres ahead and to the left."""
     near = 1.0 / max(np.sqrt(ahead * ahead + left * left), 1.0)
@@ -162,14 +162,14 @@ def direction_to(ahead: float, left: float, sigmas: PoseSigmas) -> Direction:
     return Direction(ahead * near, left * near, near, variance)
 
 
-@compiled
+@compiled_leaf
 def _aligned(seen: Record, direction: Direction) -> bool:
     """Return whether the azimuths of a pair agree: few do, and the call is short."""
     off = seen.azimuth[0] * direction.left - seen.azimuth[1] * direction.ahead
     return off * off <= GATE_CHI2 * direction.variance
 
 
-@compiled
+@compiled_leaf
 def approximate_gain(
     setting: Record,
     view: UprightView,
@@ -195,7 +195,7 @@ def approximate_gain(
     return max(gain - 0.5 * (chi2 + np.log(product * direction.variance)), 0.0)
 
 
-@compiled
+@compiled_leaf
 def _nats_of_miss(setting: Record, ahead: float) -> float:
     """Return the nats of a missed detection ``ahead`` metres away; 0 beyond the reach."""
     if not NEAREST_MISSED_M < ahead < setting.far_m:
@@ -263,7 +263,7 @@ def refine_candidates(
     return refined
 
 
-@compiled
+@compiled_leaf
 def _fill_pairs(
     setting: Record,
     view: UprightView,
@@ -295,7 +295,7 @@ def _fill_pairs(
             pairs.mapped[best], pairs.gain[best] = j, best_gain
 
 
-@compiled
+@compiled_leaf
 def _add_start(
     sigma: FloatArray, moved: FloatArray, information: FloatArray, gradient: FloatArray
 ) -> None:
@@ -306,7 +306,7 @@ def _add_start(
         gradient[axis] = moved[axis] / sigma[axis] ** 2
 
 
-@compiled
+@compiled_leaf
 def _add(
     setting: Record,
     view: UprightView,
@@ -343,7 +343,7 @@ def _add(
         _add_row(off, variance, by, information, gradient)
 
 
-@compiled
+@compiled_leaf
 def _add_row(
     off: float,
     variance: float,
@@ -358,7 +358,7 @@ def _add_row(
             information[row, column] += weight * by[row] * by[column]
 
 
-@compiled
+@compiled_leaf
 def _move(start: FloatArray, moved: FloatArray, pose: FloatArray) -> None:
     """Fill ``pose`` (6,) with ``start``, moved by x, y, heading and tilt."""
     pose[0], pose[1] = start[0] + moved[0], start[1] + moved[1]

@@ -23,7 +23,7 @@ from semviz_core.base.camera import MIN_DEPTH_M, Camera
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
-from semviz_core.common.jit import compiled
+from semviz_core.common.jit import compiled, compiled_leaf
 from semviz_core.common.linalg import cholesky
 from semviz_core.localization.problem import PoseProblem
 
@@ -120,7 +120,7 @@ def _pair_residuals(
     return shown, chi2, used
 
 
-@compiled
+@compiled_leaf
 def fill_rows(
     problem: PoseProblem, R: FloatArray, t: FloatArray, i: int, j: int, rows: Rows
 ) -> int:
@@ -158,7 +158,7 @@ def fill_rows(
     return count
 
 
-@compiled
+@compiled_leaf
 def whiten(
     problem: PoseProblem, i: int, j: int, count: int, pose_covariance: FloatArray, rows: Rows
 ) -> None:
@@ -185,7 +185,7 @@ def whiten(
     whiten_by_factor(count, rows, cholesky(rows.factor, count))
 
 
-@compiled
+@compiled_leaf
 def _add_pose_covariance(count: int, pose_covariance: FloatArray, rows: Rows) -> None:
     for row in range(count):
         for k in range(6):
@@ -196,7 +196,7 @@ def _add_pose_covariance(count: int, pose_covariance: FloatArray, rows: Rows) ->
                 rows.factor[row, column] += spread * rows.jacobian[column, k]
 
 
-@compiled
+@compiled_leaf
 def whiten_by_factor(count: int, rows: Rows, sound: bool) -> None:
     """Whiten by ``rows.factor``; make the residual infinite if the factor is not ``sound``."""
     for row in range(count):
@@ -213,7 +213,7 @@ def whiten_by_factor(count: int, rows: Rows, sound: bool) -> None:
         rows.residual[0] = np.inf
 
 
-@compiled
+@compiled_leaf
 def hidden_odds(problem: PoseProblem, count: int, rows: Rows) -> float:
     """Return c in the likelihood ``(1 - h) exp(-e^2 / 2) + c`` of a bottom's whitened residual e.
 
@@ -228,7 +228,7 @@ def hidden_odds(problem: PoseProblem, count: int, rows: Rows) -> float:
     return above * h * np.sqrt(2.0 * np.pi) * rows.factor[count - 1, count - 1] / length
 
 
-@compiled
+@compiled_leaf
 def bottom_is_given(problem: PoseProblem, i: int, j: int, count: int) -> bool:
     """Return whether the last of ``count`` rows is that of a bottom."""
     return (
@@ -239,7 +239,7 @@ def bottom_is_given(problem: PoseProblem, i: int, j: int, count: int) -> bool:
     )
 
 
-@compiled
+@compiled_leaf
 def rows_that_count(problem: PoseProblem, i: int, j: int, count: int, rows: Rows) -> int:
     """Return ``count`` without the bottom's row if the bottom is more likely hidden than seen."""
     if bottom_is_given(problem, i, j, count):
@@ -251,7 +251,7 @@ def rows_that_count(problem: PoseProblem, i: int, j: int, count: int, rows: Rows
     return count
 
 
-@compiled
+@compiled_leaf
 def transform_point(R: FloatArray, t: FloatArray, point: FloatArray | Vector) -> Vector:
     """Return ``point`` (3,), given in map coordinates, in camera coordinates."""
     x, y, z = point[0], point[1], point[2]
@@ -262,7 +262,7 @@ def transform_point(R: FloatArray, t: FloatArray, point: FloatArray | Vector) ->
     )
 
 
-@compiled
+@compiled_leaf
 def _offset(K: FloatArray, pixel: FloatArray, point: Vector, axis: int, slope: FloatArray) -> float:
     """Return detection minus projection along an image axis; fill its derivative by the point."""
     inverse = 1.0 / point[2]
@@ -273,7 +273,7 @@ def _offset(K: FloatArray, pixel: FloatArray, point: Vector, axis: int, slope: F
     return float(pixel[axis] - projection)
 
 
-@compiled
+@compiled_leaf
 def _distance_along(
     problem: PoseProblem, i: int, pixel: FloatArray, point: Vector, slope: FloatArray
 ) -> float:
@@ -288,7 +288,7 @@ def _distance_along(
     return float(du * (pixel[0] - u) + dv * (pixel[1] - v))
 
 
-@compiled
+@compiled_leaf
 def _fill_distances(problem: PoseProblem, i: int, a: Vector, e: Vector, rows: Rows) -> None:
     """Fill the distances of both observed ends from the projected line, and their derivatives.
 
@@ -319,7 +319,7 @@ def _fill_distances(problem: PoseProblem, i: int, a: Vector, e: Vector, rows: Ro
             rows.by_camera[row, 3 + k] = end_slope[k]
 
 
-@compiled
+@compiled_leaf
 def _length_px(problem: PoseProblem, a: Vector, e: Vector) -> float:
     """Return the length of the projected pole; the image's height if an end is not ahead."""
     if a[2] <= MIN_DEPTH_M or e[2] <= MIN_DEPTH_M:
@@ -329,7 +329,7 @@ def _length_px(problem: PoseProblem, a: Vector, e: Vector) -> float:
     return np.sqrt(du * du + dv * dv)
 
 
-@compiled
+@compiled_leaf
 def _chain(rows: Rows, row: int, a: Vector, e: Vector, R: FloatArray) -> None:
     """Turn derivatives by camera coordinates into those by pose and by map coordinates."""
     by = rows.by_camera[row]
@@ -342,7 +342,7 @@ def _chain(rows: Rows, row: int, a: Vector, e: Vector, R: FloatArray) -> None:
         rows.by_map[row, 3 + k] = by_e[0] * R[0, k] + by_e[1] * R[1, k] + by_e[2] * R[2, k]
 
 
-@compiled
+@compiled_leaf
 def _cross(a: Vector, b: Vector) -> Vector:
     return (
         a[1] * b[2] - a[2] * b[1],

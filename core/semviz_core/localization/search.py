@@ -14,7 +14,7 @@ import numpy as np
 from semviz_core.base.frame import Prior
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, IntArray
-from semviz_core.common.jit import compiled
+from semviz_core.common.jit import compiled, compiled_leaf
 from semviz_core.common.linalg import inverse
 from semviz_core.localization.association import all_gains, associate, log_likelihood
 from semviz_core.localization.heading_votes import (
@@ -24,7 +24,7 @@ from semviz_core.localization.heading_votes import (
     vote_headings,
 )
 from semviz_core.localization.least_squares import fit
-from semviz_core.localization.problem import PoseProblem, PriorRecord
+from semviz_core.localization.problem import PoseProblem, PriorRecord, RecordArray
 from semviz_core.localization.rating import (
     REFINED_SIGMAS,
     rate_poses,
@@ -141,7 +141,7 @@ def search(
         parts.append(_fitted_candidates(problem, view, record, proposal.pose, view_effort))
     candidates = Candidates(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
     modes = Modes(evaluated, passed, *_final_modes(problem, record, candidates, effort))
-    scale = likely_sigma_scale(problem, record, modes)
+    scale = likely_sigma_scale(problem, record, modes.rotation, modes.translation, modes.score)
     if scale == 1.0:
         return modes
     candidates = Candidates(modes.rotation, modes.translation, modes.score)
@@ -263,47 +263,62 @@ SCALE_NATS = 3.0
 """Nats that a scale has to gain for each factor of e: detectors know their sigma roughly."""
 SCALED_MODES = 3
 LIKELY_SCALE, HOPELESS_NATS = 2.2, 4.0
-"""Scales are tried only if the best mode, without being fitted again, loses less at the first."""
-
-
-def likely_sigma_scale(problem: PoseProblem, prior: PriorRecord, modes: Modes) -> float:
-    """Return the likely sigma of the detections over the stated one: 1, or one of SIGMA_SCALES.
-
-    Scores are likelihoods, so they compare sigmas: a larger one fits more pairs, each worth less.
-    """
-    if not len(modes.score):
-        return 1.0
-    best, scale = float(modes.score[0]), 1.0
-    start = modes.rotation[:SCALED_MODES], modes.translation[:SCALED_MODES]
-    as_it_is = _best_score(with_sigma_scale(problem, LIKELY_SCALE), prior, *start, fitted=False)
-    if as_it_is < best - HOPELESS_NATS:
-        return 1.0
-    for trial in SIGMA_SCALES:
-        score = _best_score(with_sigma_scale(problem, trial), prior, *start, fitted=True)
-        if score - SCALE_NATS * np.log(trial) > best:
-            best, scale = score - SCALE_NATS * np.log(trial), trial
-    return scale
+"""Scales are tried only if the best mode, without being fitted again, loses less at the first, and
+each only if it loses less there."""
 
 
 @compiled
-def _best_score(
+def likely_sigma_scale(
     problem: PoseProblem,
     prior: PriorRecord,
     rotation: FloatArray,
     translation: FloatArray,
-    fitted: bool,
+    score: FloatArray,
 ) -> float:
-    """Return the score of the best of poses (b, 3, 3) and (b, 3), fitted; or that of the first, as
-    it is."""
-    best = -np.inf
-    for row in range(len(rotation)):
-        R, t = rotation[row].copy(), translation[row].copy()
-        if not fitted:
-            match, gain = associate(problem, R, t, EXACT_POSE.copy())
-            return log_likelihood(problem, prior, R, t, match, gain)
-        match, _ = associate(problem, R, t, FITTED_COVARIANCE.copy())
-        best = max(best, _fit_until_stable(problem, prior, R, t, match)[3])
-    return best
+    """Return the likely sigma of the detections over the stated one: 1, or one of SIGMA_SCALES.
+
+    ``rotation`` (b, 3, 3), ``translation`` (b, 3) and ``score`` (b,) are those of the modes. Scores
+    are likelihoods, so they compare sigmas: a larger one fits more pairs, each worth less.
+    """
+    likely = 1.0
+    if not len(score):
+        return likely
+    best, R, t = score[0], rotation[0].copy(), translation[0].copy()
+    seen = problem.seen.copy()
+    trial = PoseProblem(
+        problem.setting, seen, problem.mapped, problem.candidate, problem.compatible,
+        problem.order, problem.anchor_m,
+    )  # fmt: skip
+    _scale_sigmas(problem, LIKELY_SCALE, seen)
+    if _score_at(trial, prior, R, t) < best - HOPELESS_NATS:
+        return likely
+    for scale in SIGMA_SCALES:
+        cost = SCALE_NATS * np.log(scale)
+        _scale_sigmas(problem, scale, seen)
+        if _score_at(trial, prior, R, t) < best + cost - HOPELESS_NATS:
+            continue
+        for row in range(min(len(score), SCALED_MODES)):
+            start = rotation[row].copy(), translation[row].copy()
+            match, _ = associate(trial, *start, FITTED_COVARIANCE.copy())
+            fitted = _fit_until_stable(trial, prior, *start, match)[3] - cost
+            if fitted > best:
+                best, likely = fitted, scale
+    return likely
+
+
+@compiled_leaf
+def _scale_sigmas(problem: PoseProblem, scale: float, seen: RecordArray) -> None:
+    """Set the sigmas of ``seen``, a copy of the problem's, to multiples of theirs."""
+    for i in range(len(seen)):
+        for axis in range(2):
+            seen[i].variance_px2[axis] = problem.seen[i].variance_px2[axis] * scale * scale
+
+
+@compiled
+def _score_at(problem: PoseProblem, prior: PriorRecord, R: FloatArray, t: FloatArray) -> float:
+    """Return the score of a pose as it is."""
+    match, gain = associate(problem, R, t, EXACT_POSE.copy())
+    return log_likelihood(problem, prior, R, t, match, gain)
 
 
 def with_sigma_scale(problem: PoseProblem, scale: float) -> PoseProblem:
@@ -402,7 +417,7 @@ def _near_best(candidates: Candidates, order: IntArray, effort: Effort) -> IntAr
     return order[:count]
 
 
-@compiled
+@compiled_leaf
 def _distance(candidates: Candidates, a: int, b: int) -> tuple[float, float]:
     """Return the distance of the camera centres (m) and the angle (rad) between two poses."""
     R, t = candidates.rotation[a], candidates.translation[a]

@@ -13,7 +13,7 @@ import numpy as np
 
 from semviz_core.base.frame import Prior
 from semviz_core.common.arrays import FloatArray, IntArray
-from semviz_core.common.jit import compiled
+from semviz_core.common.jit import compiled, compiled_leaf
 from semviz_core.localization.problem import (
     SIGHT_M,
     PoseProblem,
@@ -261,7 +261,7 @@ def elements_in_reach(problem: PoseProblem) -> float:
     return near / max(samples, 1)
 
 
-@compiled
+@compiled_leaf
 def compare_slopes(
     setting: Record,
     seen: Record,
@@ -305,7 +305,7 @@ GIVEN_ANCHOR = 2
 """Index of the variance of an end given its anchor, after those of anchor and end."""
 
 
-@compiled
+@compiled_leaf
 def slope_variances(
     seen: Record, near: float, up_sigma_rad: float, position_m: float, height_m: float
 ) -> tuple[tuple[float, float, float], float]:
@@ -324,7 +324,7 @@ def slope_variances(
     return (anchor, end, end - covariance * covariance / anchor), covariance / anchor
 
 
-@compiled
+@compiled_leaf
 def tilted_slope(seen: Record, end: int, tilt_rad: float) -> float:
     """Return the slope of an end if the camera looks up by ``tilt_rad`` more, to first order."""
     slope = seen.slope[end]

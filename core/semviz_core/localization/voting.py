@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semviz_core.common.arrays import BoolArray, IntArray
-from semviz_core.common.jit import compiled
+from semviz_core.common.jit import compiled, compiled_leaf
 from semviz_core.localization.problem import Record, RecordArray
 from semviz_core.localization.upright import (
     FALSE_SLOPE,
@@ -49,7 +49,7 @@ _TINY, _TURN, _START = np.float32(1e-30), np.float32(BINS), np.float32(_MARGIN +
 _LEAST_SQUARE, _MOST_CHI2 = np.float32(NEAREST_M**2), np.float32(MOST_SIGMAS**2)
 _HIDDEN_SIGMAS = np.float32(-np.sqrt(HIDDEN_CHI2))
 _HEADING_VARIANCE = np.float32((HEADING_SIGMA_RAD / BIN_RAD) ** 2)
-_WIDEST = np.float32(_MARGIN - 2)
+_WIDEST, _MOST_LOST = np.float32(_MARGIN - 2), _HALF * _MOST_CHI2
 _A, _B, _C, _D, _E = (
     np.float32(factor / BIN_RAD)  # Abramowitz and Stegun 1964, 4.4.49: exact to 1e-5 rad
     for factor in (0.9998660, -0.3302995, 0.1801410, -0.0851330, 0.0208351)
@@ -77,9 +77,10 @@ class Voters(NamedTuple):
     near: Float32Array  # (room,) 1 / distance, 0 if out of reach
     gain: Float32Array  # (room,)
     heading: Float32Array  # (room,) bins
+    spread: Float32Array  # (room,) bins to either side that a vote raises
+    falloff: Float32Array  # (room,) nats that it loses over one bin; over two, four times that
     voting: IntArray  # (room,) rows with a gain
     best: Float32Array  # (BINS + 2 _MARGIN + _LANES,) the best gain of an observed element
-    ramp: Float32Array  # (2 _MARGIN,) 0, 1, 2, ...
     total: Float32Array  # (BINS,) the sum of the elements' best gains: the result
 
 
@@ -114,9 +115,10 @@ def room_for_voters(m: int, room: int) -> Voters:
         np.empty(room, dtype=np.float32),
         np.empty(room, dtype=np.float32),
         np.empty(room, dtype=np.float32),
+        np.empty(room, dtype=np.float32),
+        np.empty(room, dtype=np.float32),
         np.empty(room, dtype=np.int64),
         np.empty(BINS + 2 * _MARGIN + _LANES, dtype=np.float32),
-        np.arange(2 * _MARGIN).astype(np.float32),
         np.empty(BINS, dtype=np.float32),
     )
 
@@ -135,16 +137,17 @@ def fill_voters(
     """Fill in the matches of elements in rows ``near`` for positions around ``middle_m``."""
     count, value = 0, voters.value
     x, y, z = middle_m
+    east, north, rows = _offsets(elements, near, x, y)
     for i in range(len(view.seen)):
-        seen = view.seen[i]
-        for j in near:
-            if not compatible[i, j]:
+        seen, allowed = view.seen[i], compatible[i]
+        azimuth = seen.azimuth_rad / BIN_RAD
+        for entry in range(len(near)):
+            j = near[entry]
+            if not allowed[j]:
                 continue
-            mapped = elements[j]
-            east, north = mapped.position_m[0] - x, mapped.position_m[1] - y
-            row = min(int(np.sqrt(east * east + north * north)), _DISTANCES - 1)
-            value[_EAST, count], value[_NORTH, count] = east, north
-            value[_AZIMUTH, count] = seen.azimuth_rad / BIN_RAD
+            mapped, row = elements[j], rows[entry]
+            value[_EAST, count], value[_NORTH, count] = east[entry], north[entry]
+            value[_AZIMUTH, count] = azimuth
             gain = hidden_gain = weights.turn_gain[row]
             for end in range(2):
                 value[_RISE[end], count] = value[_SLOPE[end], count] = _0
@@ -166,6 +169,22 @@ def fill_voters(
 
 
 @compiled
+def _offsets(
+    elements: RecordArray, near: IntArray, x: float, y: float
+) -> tuple[Float32Array, Float32Array, IntArray]:
+    """Return how far east and north (m) of (x, y) elements in rows ``near`` are, and the distance
+    in whole metres."""
+    east, north = np.empty(len(near), dtype=np.float32), np.empty(len(near), dtype=np.float32)
+    rows = np.empty(len(near), dtype=np.int64)
+    for k in range(len(near)):
+        position_m = elements[near[k]].position_m
+        dx, dy = position_m[0] - x, position_m[1] - y
+        east[k], north[k] = dx, dy
+        rows[k] = min(int(np.sqrt(dx * dx + dy * dy)), _DISTANCES - 1)
+    return east, north, rows
+
+
+@compiled_leaf
 def vote_at(voters: Voters, weights: Weights, x: float, y: float, reach_m: float) -> None:
     """Fill ``voters.total`` at a position (x, y) from the middle of the block; the true one is up
     to half a step away on either axis."""
@@ -178,6 +197,8 @@ def vote_at(voters: Voters, weights: Weights, x: float, y: float, reach_m: float
     _fill_gain_of_ends(near, rise, slope, value[_GAIN, :count], value[_HIDDEN_GAIN, :count], gain)
     _add_gain_of_anchors(near, value[_RISE[0], :count], value[_SLOPE[0], :count], gain)
     _fill_heading(east, north, east_m, north_m, value[_AZIMUTH, :count], heading)
+    spread, falloff = voters.spread[:count], voters.falloff[:count]
+    _fill_spread(near, gain, weights.position_variance, spread, falloff)
     best, total, voting = voters.best, voters.total, voters.voting
     total[:] = _0
     for i in range(len(voters.first) - 1):
@@ -189,12 +210,11 @@ def vote_at(voters: Voters, weights: Weights, x: float, y: float, reach_m: float
             continue
         best[:] = _0
         for k in voting[:chosen]:
-            variance = weights.position_variance * near[k] * near[k] + _HEADING_VARIANCE
-            _add_vote(best, voters.ramp, heading[k], gain[k], variance)
+            _add_vote(best, heading[k], gain[k], spread[k], falloff[k])
         _add_turn(best, total)
 
 
-@compiled
+@compiled_leaf
 def _fill_near(
     east: Float32Array,
     north: Float32Array,
@@ -209,7 +229,7 @@ def _fill_near(
         near[k] = _1 / np.sqrt(square) if (square > _LEAST_SQUARE and square < most_square) else _0
 
 
-@compiled
+@compiled_leaf
 def _fill_gain_of_ends(
     near: Float32Array,
     rise: Float32Array,
@@ -225,7 +245,7 @@ def _fill_gain_of_ends(
         gain[k] = of_end if near[k] > _0 else _0
 
 
-@compiled
+@compiled_leaf
 def _add_gain_of_anchors(
     near: Float32Array, rise: Float32Array, slope: Float32Array, gain: Float32Array
 ) -> None:
@@ -234,7 +254,7 @@ def _add_gain_of_anchors(
         gain[k] -= _HALF * off * off
 
 
-@compiled
+@compiled_leaf
 def _fill_heading(
     east: Float32Array,
     north: Float32Array,
@@ -258,27 +278,45 @@ def _fill_heading(
         heading[k] = angle - _TURN if angle >= _TURN else angle
 
 
-@compiled
+@compiled_leaf
+def _fill_spread(
+    near: Float32Array,
+    gain: Float32Array,
+    position_variance: np.float32,
+    spread: Float32Array,
+    falloff: Float32Array,
+) -> None:
+    """Fill in how far votes spread: to where nothing is left of their gain, or MOST_SIGMAS."""
+    for k in range(len(near)):
+        variance = position_variance * near[k] * near[k] + _HEADING_VARIANCE
+        falloff[k] = _HALF / variance
+        chi2 = min(_2 * max(gain[k], _0), _MOST_CHI2)
+        spread[k] = min(np.sqrt(variance * chi2), _WIDEST)
+
+
+@compiled_leaf
 def _add_vote(
     best: Float32Array,
-    ramp: Float32Array,
     heading: np.float32,
     gain: np.float32,
-    variance: np.float32,
+    spread: np.float32,
+    falloff: np.float32,
 ) -> None:
-    """Add a vote for ``heading`` (in bins), which falls off with ``variance`` (bins squared)."""
-    spread = min(np.sqrt(variance * min(_2 * gain, _MOST_CHI2)), _WIDEST)
+    """Add a vote for ``heading`` (in bins) to whole vectors of bins."""
     first = int(heading - spread + _START)
-    off, weight = np.float32(first - _MARGIN) + _HALF - heading, _HALF / variance
-    count = int(spread - off) + 1
-    raised, last = best[first : first + ((count + _LANES - 1) & -_LANES)], np.float32(count)
-    for k in range(len(raised)):
-        away = off + ramp[k]
-        value = gain - away * away * weight if ramp[k] < last else _0
-        raised[k] = value if value > raised[k] else raised[k]
+    off = np.float32(first - _MARGIN) + _HALF - heading
+    bin = np.uintp(first)  # unsigned: a number that may be negative would stop vector instructions
+    for _ in range((int(spread - off) + _LANES) // _LANES):
+        for lane in range(_LANES):
+            away = off + np.float32(lane)
+            lost, at = away * away * falloff, bin + np.uintp(lane)
+            value = gain - lost if lost <= _MOST_LOST else _0
+            best[at] = value if value > best[at] else best[at]
+        bin += np.uintp(_LANES)
+        off += np.float32(_LANES)
 
 
-@compiled
+@compiled_leaf
 def _add_turn(best: Float32Array, total: Float32Array) -> None:
     """Add the best gains of an observed element to the total; the margins are the same turn."""
     for k in range(_MARGIN):
