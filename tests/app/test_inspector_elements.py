@@ -22,11 +22,13 @@ from semviz.inspector.elements import (
     frames_of,
 )
 from semviz.inspector.server import Inspector
-from semviz.runs.diagnosis import run_diagnosis, run_elements
+from semviz.runs.diagnosis import frame_diagnosis, run_diagnosis, run_elements
 from semviz.runs.run import Run
 from semviz.web.gateway import Gateway
+from semviz_core.base.elements import joined
+from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.diagnosis.element_statistics import ElementRecord
-from semviz_core.diagnosis.fault import EvidenceItem, Fault, RunFault
+from semviz_core.diagnosis.fault import EvidenceItem, Fault, FrameDiagnosis, RunFault
 from semviz_core.diagnosis.run import RunDiagnosis
 
 if TYPE_CHECKING:
@@ -51,6 +53,29 @@ def test_an_element_that_moved_in_the_map_comes_out_on_top() -> None:
     assert worst["outlier"] == worst["seen"] >= 3
     assert np.any(run.frames[worst["position"]].element_id == pole)
     assert all(other["outlier"] < 2 for other in others)
+    named = [k for k, frame in enumerate(run.frames) if pole in blamed(frame_diagnosis(run, frame))]
+    assert worst["blamed"] == [["moved in the map", len(named)]]
+    assert len(named) >= 3
+
+
+def blamed(diagnosis: FrameDiagnosis) -> set[int]:
+    faults = (diagnosis.fault, *diagnosis.secondary_faults)
+    return {element for fault in faults for element in fault.elements}
+
+
+def test_elements_at_one_position_are_each_others_duplicates() -> None:
+    run, pole = run_with_a_moved_pole()
+    elements = run.semantic_map.elements
+    copy = replace(
+        elements[elements.id == pole],
+        id=np.array([9999]),
+        anchor_m=elements.anchor_m[elements.id == pole] + [0.3, 0.4, 0.0],
+    )
+    doubled = SemanticMap(joined(elements, copy), run.semantic_map.frame)
+    rows = view_of(replace(run, semantic_map=doubled))["rows"]
+    (told,) = [row for row in rows if row["id"] == pole]
+    assert (told["duplicate"], told["duplicate_m"]) == ("P-9999", pytest.approx(0.5))
+    assert all(row["duplicate_m"] is None for row in rows if row["id"] not in (pole, 9999))
 
 
 def test_where_nothing_is_wrong_nothing_is_named() -> None:
@@ -160,6 +185,15 @@ def test_the_moved_pole_is_named_first_and_a_click_shows_it(url: str, page: "Pag
     page.locator("#element-head button", has_text="element").click()
     names = [str(node.text_content()) for node in rows.locator("b").all()]
     assert names == sorted(names, key=lambda name: (name[0], int(name[2:])))
+    page.locator("#finding-filter").select_option("moved in the map")
+    wait_for(page, lambda: rows.count() == 1, "the blamed pole alone")
+    assert rows.first.locator("b").text_content() == name
+    wait_for(page, lambda: in_url(page, "finding") == "moved in the map", "the address")
+    page.locator("#finding-filter").select_option("")
+    page.locator("#element-head .blamed").click()
+    counts = [int(node.text_content() or "") for node in rows.locator(".blamed").all()]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] > 0
     poles = page.locator("#element-classes button[title=pole]")
     poles.click()
     assert rows.count() == int(poles.locator("span").text_content() or "")

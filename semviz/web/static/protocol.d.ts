@@ -1795,6 +1795,9 @@ export interface ElementRow {
   share: number | null;
   median_px: number | null;
   cost_m: number | null;
+  blamed: Array<[string, number]>;
+  duplicate: string;
+  duplicate_m: number | null;
   log_odds: number | null;
   existence: string;
   position: number | null;
