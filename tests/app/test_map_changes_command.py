@@ -89,10 +89,9 @@ def test_changes_are_written_for_other_tools_where_they_are_on_earth(
     assert (told["change"], told["place"], told["since"]) == ("vanished", "mapped", "pass-2")
     assert told["existence"] < 0.05
     assert told["frames_in_view"][-1] > told["frames_seen"][-1] == 0
-    elements = load_map(workspace.map_path("main")).elements
-    row = [load_map(workspace.map_path("main")).name_of(i) for i in elements.id.tolist()].index(
-        gone
-    )
+    mapped = load_map(workspace.map_path("main"))
+    elements = mapped.elements
+    (row,) = [k for k, id_ in enumerate(elements.id.tolist()) if mapped.name_of(id_) == gone]
     points = np.atleast_2d(feature["geometry"]["coordinates"])
     place = Georeference(49.01, 8.42, 115.0, 30.0)
     np.testing.assert_allclose(place.to_map(points)[0], elements.anchor_m[row], atol=1e-4)
