@@ -132,6 +132,8 @@ class StoryView(Part):
     overconfident: int | None
     """Null without ground truth."""
     causes: tuple[StoryCause, ...]
+    harmless: tuple[StoryCause, ...]
+    """What the whole run shows that makes no frame wrong by itself; ``frames`` show it."""
     route: tuple[StoryPart, ...]
 
 

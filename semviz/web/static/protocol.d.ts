@@ -2713,6 +2713,7 @@ export interface StoryView {
   cannot: number;
   overconfident: number | null;
   causes: Array<StoryCause>;
+  harmless: Array<StoryCause>;
   route: Array<StoryPart>;
 }
 
