@@ -1,8 +1,10 @@
 """The tab "Elements": what is wrong over the run, each element in numbers; frames by element."""
 
+import re
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -159,7 +161,9 @@ def test_it_is_worked_out_once_and_tells_how_far_it_is() -> None:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return saved(run_with_a_moved_pole()[0], tmp_path_factory.mktemp("runs") / "moved.rrd")
+    run, _ = run_with_a_moved_pole()
+    run = replace(run, info=replace(run.info, version=version("semviz")))  # keeps its diagnoses
+    return saved(run, tmp_path_factory.mktemp("runs") / "moved.rrd")
 
 
 @pytest.fixture
@@ -225,3 +229,13 @@ def test_frames_are_filtered_by_element_status_and_diagnosis_together(
     page.locator("#element-filter").click()
     page.locator("#filters button").first.click()
     wait_for(page, lambda: listed.count() == everything, "all frames again")
+
+
+@pytest.mark.browser
+def test_what_was_noticed_is_listed_by_how_far_it_is_off(url: str, page: "Page") -> None:
+    open_flat(page, url, "noticed=yes")
+    cells = page.locator("#frame-list .diagnosis")
+    wait_for(page, lambda: cells.count() > 3, "the frames")
+    wait_for(page, lambda: "noticed" in page.inner_text("#found-head"), "the column's name")
+    off_px = [int(re.findall(r"(\d+) px", str(cell.text_content()))[0]) for cell in cells.all()]
+    assert off_px == sorted(off_px, reverse=True)

@@ -34,6 +34,23 @@ export function severity(row) {
   return errorM;
 }
 
+/** The largest error in pixels that a frame's noticed faults tell; 0 without any.
+ *
+ * @param {FrameRow} row
+ */
+function noticedPx({ noticed }) {
+  return Math.max(0, ...[...noticed.matchAll(/(\d+) px/g)].map(([, px]) => Number(px)));
+}
+
+/** The first of the noticed faults, and how many more there are: lines of the list are short.
+ *
+ * @param {string} noticed
+ */
+function firstNoticed(noticed) {
+  const [first, ...others] = noticed.split(/; |, /);
+  return others.length ? `${first} +${others.length}` : first;
+}
+
 /** @param {FrameRow} row */
 function errorText(row) {
   if (row.status === "cannot") return "none";
@@ -208,7 +225,9 @@ export class FrameList {
   }
 
   fill() {
-    this.groups = grouped(this.rows()).sort((a, b) => b.severity - a.severity || a.first - b.first);
+    const first = (/** @type {FrameGroup} */ { row }) => (this.noticed ? noticedPx(row) : 0);
+    this.groups = grouped(this.rows()).sort((a, b) => first(b) - first(a) || b.severity - a.severity || a.first - b.first);
+    byId("found-head").textContent = this.noticed ? "noticed" : "diagnosis";
     this.groupOf = new Int32Array(this.page.store.run.frames.length).fill(-1);
     this.groups.forEach(({ first, last }, index) => this.groupOf.fill(index, first, last + 1));
     this.rowList.show(this.groups.length);
@@ -278,7 +297,7 @@ function listRow({ row, first, last }) {
     statusMark(row.status),
     el("span", { class: "index", text: row.index }),
     el("span", { class: row.overconfident ? "wrong" : "", text: errorText(row) }),
-    el("span", { class: "diagnosis", text: row.noticed || row.diagnosis }),
+    el("span", { class: "diagnosis", text: row.noticed ? firstNoticed(row.noticed) : row.diagnosis }),
     el("span", { class: "count", text: frames > 1 ? `${frames}×` : "" }));
 }
 
