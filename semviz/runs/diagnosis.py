@@ -186,11 +186,11 @@ class DiagnosisCard:
 
 
 def diagnosis_sentence(run: Run, record: FrameRecord) -> str:
-    """Return the solver's reason, and the diagnosis if it adds to it."""
+    """Return the cause, if the diagnosis adds one, and the solver's reason."""
     reason = record.localization.reason
     if not _adds_to_status(run, record):
         return reason
-    return f"{reason} {frame_diagnosis(run, record).sentence}"
+    return f"{frame_diagnosis(run, record).sentence} {reason}"
 
 
 def diagnosis_card(run: Run, record: FrameRecord, detection: DetectionErrors) -> DiagnosisCard:

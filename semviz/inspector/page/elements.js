@@ -1,7 +1,7 @@
 // @ts-check
 /* The tab "Elements": faults of priors, map and camera, and each map element over the run. */
 
-import { byId, el, fixed } from "/static/dom.js";
+import { byId, el, fixed, unbroken } from "/static/dom.js";
 import { classGlyph } from "/static/glyphs.js";
 import { currentTheme } from "/static/theme.js";
 import { VirtualList } from "/static/virtual_list.js";
@@ -155,7 +155,7 @@ export class ElementList {
     const indices = frames.length > MAX_LISTED ? [...frames.slice(0, MAX_LISTED), "…"] : frames;
     const numbers = [...evidence.map(([name, value]) => `${name} ${value}`), ...(frames.length ? [`frames ${indices.join(", ")}`] : [])].join(" · ");
     return el("button", { class: "fault", title: "Go to a frame that shows it", onclick: goTo },
-      el("b", { text: kind }), el("span", { text: sentence }), el("span", { class: "dim", text: numbers }));
+      el("b", { text: kind }), el("span", {}, ...unbroken(sentence)), el("span", { class: "dim", text: numbers }));
   }
 
   /** Selects the target and goes to a frame that shows it. A new frame keeps a selected element only.

@@ -1,7 +1,7 @@
 // @ts-check
 /* The list of frames, worst first, and its filters: by status, diagnosis and element. */
 
-import { byId, el, fixed } from "/static/dom.js";
+import { byId, el, fixed, unbroken } from "/static/dom.js";
 import { statusMark } from "/static/glyphs.js";
 import { VirtualList } from "/static/virtual_list.js";
 import { flag, memberOf, numberOf, textOf, wholeNumber, yes } from "./address.js";
@@ -297,7 +297,7 @@ function listRow({ row, first, last }) {
     statusMark(row.status),
     el("span", { class: "index", text: row.index }),
     el("span", { class: row.overconfident ? "wrong" : "", text: errorText(row) }),
-    el("span", { class: "diagnosis", text: row.noticed ? firstNoticed(row.noticed) : row.diagnosis }),
+    el("span", { class: "diagnosis" }, ...unbroken(row.noticed ? firstNoticed(row.noticed) : row.diagnosis)),
     el("span", { class: "count", text: frames > 1 ? `${frames}×` : "" }));
 }
 

@@ -1,7 +1,7 @@
 // @ts-check
 /* The story of a run: how many frames are right, what explains the others, and where they are. */
 
-import { byId, el, fill, fixed } from "/static/dom.js";
+import { byId, el, fill, fixed, unbroken } from "/static/dom.js";
 import { statusMark } from "/static/glyphs.js";
 import { StoryMap } from "./story_map.js";
 
@@ -110,7 +110,7 @@ export class Story {
     return el("li", { class: "cause", tabindex: 0, data: { kind, sentence }, onclick: () => this.choose(cause),
       onkeydown: (/** @type {KeyboardEvent} */ event) => { if (event.key === "Enter") this.choose(cause); } },
       el("header", {}, frames.length ? statusMark(rows[frames[0]].status) : null, el("b", { class: "kind", text: kind }), el("b", { class: "count", text: count })),
-      el("p", { text: sentence }),
+      el("p", {}, ...unbroken(sentence)),
       el("p", { class: "dim", text: `${where}${ofRun ? " · seen over the whole run" : ""}` }),
       el("div", { class: "examples" }, el("span", { class: "faint", text: "open" }), ...examples.map(example)));
   }
