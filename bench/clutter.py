@@ -6,19 +6,22 @@
 A run passes 90 m of a simulated road three times, a frame each 3 m. Of the elements that it
 detects four times or more, three are taken out of its map. Besides, there are false detections,
 independent from frame to frame, 0 to 40 % of the true ones. The ids of detections are unknown.
-An element that is reported as missing in the map or as moved is found if it is within 2 m of one
-that was taken out, else it is invented.
+Told with the true poses, with those of the frames that are ok alone, with none, and with none but
+odometry. An element that is reported as missing in the map or as moved is found if it is within 2 m
+of one that was taken out, else it is invented.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 import tests_support  # noqa: F401
 import tyro
 from support.planted_faults import WHOLE, Given
-from support.planted_runs import STEP
+from support.planted_runs import STEP, odometry_of
 
+from semviz_core.base.frame import Odometry
 from semviz_core.base.localization import Localization
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray
@@ -31,6 +34,8 @@ PASSES, FRAMES = 3, 30
 TAKEN, LEAST_SEEN = 3, 4
 FOUND_M = 2.0
 SHARES = (0.0, 0.1, 0.2, 0.4)
+Knowledge = Literal["true pose", "if ok", "nothing", "odometry"]
+KNOWLEDGE: tuple[Knowledge, ...] = get_args(Knowledge)
 
 
 @dataclass(frozen=True)
@@ -38,11 +43,14 @@ class Options:
     runs: int = 18
     """For each share of false detections."""
     first_seed: int = 7000
+    shares: tuple[float, ...] = SHARES
 
 
 @dataclass(frozen=True, eq=False)
 class ClutteredRun:
     frames: list[tuple[Localization, GroundTruth]]
+    odometry: list[Odometry | None]
+    """The motion of each frame from the one before of its pass."""
     semantic_map: SemanticMap
     taken_m: FloatArray
     """(k, 2) places of the elements that are not in the map."""
@@ -52,15 +60,17 @@ class ClutteredRun:
 
 def main(options: Options) -> None:
     roads = [simulated_road(options.first_seed + k) for k in range(4)]
-    header = ("false", "false dets", "true pose: found", "invented", "nothing: found", "invented")
+    header = ["false", "false dets", *(f"{name}, inv." for name in KNOWLEDGE), "frames ok"]
     print("".join(f"{name:>18}" for name in header))
-    for share in SHARES:
+    for share in options.shares:
         runs = list(_runs(options, roads, share))
         taken, false = sum(len(run.taken_m) for run in runs), sum(run.false for run in runs)
         row = [f"{share:.0%}", str(false)]
-        for has_pose in (True, False):
-            found, invented = np.sum([_told(run, has_pose) for run in runs], axis=0)
-            row += [f"{found} of {taken}", str(invented)]
+        for knowledge in KNOWLEDGE:
+            found, invented = np.sum([_told(run, knowledge) for run in runs], axis=0)
+            row.append(f"{found} of {taken}, {invented}")
+        is_ok = [result.status == "ok" for run in runs for result, _ in run.frames]
+        row.append(f"{np.mean(is_ok):.0%}")
         print("".join(f"{cell:>18}" for cell in row), flush=True)
 
 
@@ -90,13 +100,21 @@ def cluttered_run(seed: int, road: BenchmarkRoad, share: float) -> ClutteredRun:
     ]
     taken_m = elements.anchor_m[np.isin(elements.id, gone), :2]
     false = sum(int((frame.ids < 0).sum()) for frame in given)
-    return ClutteredRun(frames, replace(given[0], elements=left).semantic_map, taken_m, false)
+    odometry = odometry_of(given, seed, ())
+    odometry[::FRAMES] = [None] * PASSES
+    whole = replace(given[0], elements=left).semantic_map
+    return ClutteredRun(frames, odometry, whole, taken_m, false)
 
 
-def _told(run: ClutteredRun, has_pose: bool) -> tuple[int, int]:
+def _told(run: ClutteredRun, knowledge: Knowledge) -> tuple[int, int]:
     """Return how many of the elements taken out are found, and how many others are invented."""
-    frames = [(result, truth if has_pose else None) for result, truth in run.frames]
-    faults = diagnose_run(frames, run.semantic_map, DETECTOR).elements
+    frames: list[tuple[Localization, GroundTruth | None]] = [
+        (result, truth if knowledge in ("true pose", "if ok") else None)
+        for result, truth in run.frames
+        if knowledge != "if ok" or result.status == "ok"
+    ]
+    odometry = run.odometry if knowledge == "odometry" else None
+    faults = diagnose_run(frames, run.semantic_map, DETECTOR, odometry=odometry).elements
     found: set[int] = set()
     invented = 0
     for fault in faults:

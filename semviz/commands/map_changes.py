@@ -15,6 +15,7 @@ from semviz_core.common.errors import SemvizError
 if TYPE_CHECKING:
     from semviz.workspace.map_decisions import ChangeDecisions
     from semviz.workspace.workspace import Workspace
+    from semviz_annotation.map_formats.georeference import Georeference
     from semviz_annotation.mapping.passes.changes import MapChanges
     from semviz_annotation.mapping.passes.evidence import Pass
     from semviz_core.base.semantic_map import SemanticMap
@@ -25,7 +26,8 @@ class MapChangesCommand:
     """Tell what changed since a map was made, from runs of several passes: elements that vanished,
     appeared or moved. Nothing is written without --write.
 
-    Example: 'semviz map changes town may.rrd june.rrd july.rrd --write next --keep P-04'."""
+    Examples: 'semviz map changes town may.rrd june.rrd july.rrd --write next --keep P-04';
+    'semviz map changes town may.rrd june.rrd --geojson changes.geojson'."""
 
     workspace: Positional[Path]
     """Folder of the workspace with the map."""
@@ -41,6 +43,14 @@ class MapChangesCommand:
     decision."""
     replace: bool = False
     """Replace an existing map of this name."""
+    geojson: parsing.OptionalPath = None
+    """Also write the changes and the decisions on them to this file, for QGIS and other tools."""
+    anchor: parsing.OptionalText = None
+    """LATITUDE,LONGITUDE[,HEIGHT] of the map's origin (WGS84), for --geojson; default: that of the
+    map or the workspace."""
+    anchor_heading: parsing.OptionalFloat = None
+    """Compass direction of the map's x axis at the anchor, in degrees; default: 90 (east)."""
+    force: parsing.Force = False
     json: bool = False
     """Print one JSON object instead of text."""
 
@@ -55,6 +65,7 @@ class MapChangesCommand:
             raise SemvizError("--keep is for --write; add that, or leave it out")
         workspace = parsing.open_workspace(self.workspace)
         semantic_map, path = workspace.read_map(self.map), None
+        place = self._place(semantic_map)
         if self.write is not None:
             path = parsing.path_of_new_map(workspace, self.write, replace=self.replace)
         announce_compiling("the search for tracks")
@@ -67,6 +78,8 @@ class MapChangesCommand:
             decisions = self._decide(workspace, found, decisions)
             changed = changed_map(found, decisions.made(found))
             save_map(changed, path)
+        if self.geojson is not None and place is not None:
+            _write_geojson(found, self.geojson, place, passes, decisions)
         if self.json:
             print(
                 json.dumps(decisions.as_dict(found) | ({} if path is None else {"map": str(path)}))
@@ -77,7 +90,27 @@ class MapChangesCommand:
             print(line)
         if changed is not None:
             print(f"{path}: {len(changed)} elements")
+        if self.geojson is not None:
+            print(f"{self.geojson}: {len(found.changes)} changes")
         return 0
+
+    def _place(self, semantic_map: "SemanticMap") -> "Georeference | None":
+        """Return where the map is on Earth; None if no GeoJSON is wanted.
+
+        Raise SemvizError if that is not known, or the file is not to be written.
+        """
+        from semviz.workspace.outputs import check_outputs, contains
+        from semviz_annotation.map_formats.geojson import NEEDS_PLACE
+        from semviz_annotation.map_formats.georeference import Georeference, require_georeference
+
+        anchor = parsing.parse_anchor(self.anchor, self.anchor_heading)
+        if self.geojson is None:
+            if anchor is not None:
+                raise SemvizError("--anchor is for --geojson; add that, or leave it out")
+            return None
+        ours = contains(b'{"type": "FeatureCollection", "semviz": {', b'"map_digest"')
+        check_outputs(self.geojson, ours, force=self.force, reads=[self.workspace, *self.runs])
+        return require_georeference(anchor or Georeference.of(semantic_map.frame), NEEDS_PLACE)
 
     def _decide(
         self, workspace: "Workspace", found: "MapChanges", before: "ChangeDecisions"
@@ -95,6 +128,24 @@ class MapChangesCommand:
         answers |= dict.fromkeys(self.keep, "keep")
         rows = [(name, answer, None) for name, answer in answers.items()]
         return decide_in(workspace, found, rows, login_name())
+
+
+def _write_geojson(
+    found: "MapChanges",
+    path: Path,
+    place: "Georeference",
+    passes: "Iterable[Pass]",
+    decisions: "ChangeDecisions",
+) -> None:
+    from semviz.workspace.passes import date_of
+    from semviz_annotation.map_formats.changes_geojson import write_changes
+
+    decided = {
+        change.name: {"answer": on.answer, "decided_by": on.author, "decided": on.time}
+        for change in found.changes
+        if (on := decisions.on(change, found.semantic_map.digest)) is not None
+    }
+    write_changes(found, path, place, {one.name: date_of(one) for one in passes}, decided)
 
 
 def _passes(paths: Iterable[Path], semantic_map: "SemanticMap") -> "list[Pass]":

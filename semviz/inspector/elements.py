@@ -3,6 +3,7 @@
 The forecast is the expected error along the run's route. All are computed on first request.
 """
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +23,8 @@ from semviz.runs.story import RunStory, tell, typical_positions
 from semviz.web.protocol import handles
 from semviz.workspace import localizability
 from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.diagnosis.checks import same_positions
 from semviz_core.diagnosis.element_statistics import ElementRecord
 from semviz_core.diagnosis.fault import EvidenceItem, Fault, RunFault
 from semviz_core.diagnosis.run import RunDiagnosis
@@ -125,6 +128,7 @@ def frames_of(run: Run, element_id: int) -> list[int]:
 def findings_view(run: Run, findings: Findings) -> views_run.RunFindings:
     """Return the faults, and a row for each element."""
     diagnosis, camera = findings.diagnosis, findings.diagnosis.calibration
+    duplicates = _duplicates(run.semantic_map)
     camera_faults = [] if camera is None else [_camera_fault(run, camera)]
     return views_run.RunFindings(
         compared=diagnosis.frames,
@@ -134,7 +138,9 @@ def findings_view(run: Run, findings: Findings) -> views_run.RunFindings:
             *(_recurring_fault(run, fault) for fault in diagnosis.elements),
         ),
         rows=tuple(
-            _row(run, element) for element in findings.elements if _is_mapped(run, element.id)
+            _row(run, element, duplicates)
+            for element in findings.elements
+            if _is_mapped(run, element.id)
         ),
     )
 
@@ -184,9 +190,23 @@ def evidence_text(item: EvidenceItem) -> str:
     return f"{item.value:.{decimals}f} {item.unit}".strip()
 
 
-def _row(run: Run, element: ElementRecord) -> views_run.ElementRow:
+def _duplicates(semantic_map: SemanticMap) -> dict[int, tuple[str, float]]:
+    """Return name and distance (m) of the nearest element of its class at the position of an
+    element, by id, where there is one."""
+    elements, duplicates = semantic_map.elements, {}
+    for row, others in same_positions(elements).items():
+        away_m = np.linalg.norm(elements.anchor_m[others] - elements.anchor_m[row], axis=1)
+        nearest = int(elements.id[others[int(away_m.argmin())]])
+        duplicates[int(elements.id[row])] = semantic_map.name_of(nearest), float(away_m.min())
+    return duplicates
+
+
+def _row(
+    run: Run, element: ElementRecord, duplicates: dict[int, tuple[str, float]]
+) -> views_run.ElementRow:
     row = map_row(run.semantic_map, element.id)
     provenance = provenance_of(run.semantic_map, element.id)
+    duplicate, duplicate_m = duplicates.get(element.id, ("", None))
     return views_run.ElementRow(
         id=element.id,
         name=run.semantic_map.name_of(element.id),
@@ -198,6 +218,9 @@ def _row(run: Run, element: ElementRecord) -> views_run.ElementRow:
         share=number(element.outlier_share),
         median_px=number(element.median_px),
         cost_m=number(element.mean_cost_m),
+        blamed=tuple(Counter(element.blamed.values()).most_common()),
+        duplicate=duplicate,
+        duplicate_m=duplicate_m,
         log_odds=provenance.log_odds if provenance else None,
         existence=provenance.existence if provenance else "",
         position=best_frame(element),

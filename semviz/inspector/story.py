@@ -22,11 +22,14 @@ from semviz.runs.story import (
     stretches,
 )
 from semviz.web.protocol import handles
+from semviz_core.diagnosis.fault import RunFault
 
 LONG_RUN = 200
 """Frames; pages of longer runs open with their story, which comes before the 3D view is drawn."""
 EXAMPLES = 3
 """Frames that are offered for a cause."""
+MOST_HARMLESS = 5
+"""Harmless faults that are listed; *Elements* lists all."""
 
 
 class StoryPanel(Panel):
@@ -89,8 +92,13 @@ def story_view(story: RunStory) -> StoryView:
         cannot=counts["cannot"],
         overconfident=int(table.is_overconfident.sum()) if len(known_m) else None,
         causes=tuple(_cause_view(story, cause) for cause in story.causes),
+        harmless=tuple(_harmless_view(story, fault) for fault in story.harmless[:MOST_HARMLESS]),
         route=tuple(_part_view(part) for part in story.route),
     )
+
+
+def _harmless_view(story: RunStory, fault: RunFault) -> StoryCause:
+    return _cause_view(story, Cause(fault.kind, fault.sentence, fault.frames, is_of_run=True))
 
 
 def _cause_view(story: RunStory, cause: Cause) -> StoryCause:

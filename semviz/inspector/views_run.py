@@ -56,6 +56,11 @@ class ElementRow(Part):
     share: float | None
     median_px: float | None
     cost_m: float | None
+    blamed: tuple[tuple[str, int], ...]
+    """Kinds of fault that diagnoses blame it for, and in how many frames; most first."""
+    duplicate: str
+    """Name of the nearest element of its class at the same position; empty if there is none."""
+    duplicate_m: float | None
     log_odds: float | None
     """That it exists, of an element made from detections alone."""
     existence: str
@@ -127,6 +132,8 @@ class StoryView(Part):
     overconfident: int | None
     """Null without ground truth."""
     causes: tuple[StoryCause, ...]
+    harmless: tuple[StoryCause, ...]
+    """What the whole run shows that makes no frame wrong by itself; ``frames`` show it."""
     route: tuple[StoryPart, ...]
 
 

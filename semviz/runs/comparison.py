@@ -56,6 +56,10 @@ class Comparison:
 
     frames: tuple[FrameChange, ...]
     """Sorted by number."""
+    named: tuple[tuple[str, str], ...]
+    """Of each of these: its diagnoses in base and other."""
+    apart_m: FloatArray
+    """(n,) of these: distance of the two estimates; NaN unless both have one."""
     base: Metrics
     other: Metrics
     diagnosed: tuple[Metrics, Metrics]
@@ -76,11 +80,14 @@ class Comparison:
     @property
     def counts(self) -> Metrics:
         """Metrics of the other run that only a comparison has."""
+        apart_m = self.apart_m[np.isfinite(self.apart_m)]
         return {
             "fixed": float(len(self.of("fixed"))),
             "broken": float(len(self.of("broken"))),
             "same": float(len(self.of("same"))),
             "missing": float(len(self.only_base)),
+            "median_apart_m": float(np.median(apart_m)) if len(apart_m) else None,
+            "max_apart_m": float(apart_m.max()) if len(apart_m) else None,
         }
 
     @property
@@ -116,7 +123,11 @@ class Comparison:
             "diagnoses": {
                 name: {"base": base, "other": other} for name, base, other in self.found_diagnoses
             },
-            "each": [_frame_as_dict(frame) for frame in self.frames],
+            "apart_m": {name: self.counts[f"{name}_apart_m"] for name in ("median", "max")},
+            "each": [
+                _frame_as_dict(*row)
+                for row in zip(self.frames, self.named, self.apart_m.tolist(), strict=True)
+            ],
             "differences": [difference._asdict() for difference in self.differences],
             "map": None if self.maps is None else self.maps.as_dict(),
             "notes": list(self.notes),
@@ -142,6 +153,8 @@ def compare_runs(base: Run, other: Run) -> Comparison:
     same_map = base.semantic_map.digest == other.semantic_map.digest
     return Comparison(
         frames=tuple(_change(*frame) for frame in zip(common.tolist(), *sides, strict=True)),
+        named=tuple(zip(*map(_diagnoses_of, tables, rows), strict=True)),
+        apart_m=_apart_m(*(table.estimate_m[of] for table, of in zip(tables, rows, strict=True))),
         base=metrics_of(base, rows[0]),
         other=metrics_of(other, rows[1]),
         diagnosed=(diagnosis_counts(base, rows[0]), diagnosis_counts(other, rows[1])),
@@ -186,6 +199,14 @@ def _truth_notes(base_m: FloatArray, other_m: FloatArray) -> Iterator[str]:
         yield f"the true poses of the runs differ, by up to {known_m.max():.3f} m"
     if unknown := len(apart_m) - len(known_m):
         yield f"{unknown} of {len(apart_m)} frames have no true pose: compared by status alone"
+
+
+def _diagnoses_of(table: FrameTable, rows: IntArray) -> list[str]:
+    return table.texts_of(table.diagnosis[rows])
+
+
+def _apart_m(base_m: FloatArray, other_m: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(base_m - other_m, axis=1))
 
 
 class _Result(NamedTuple):
@@ -239,16 +260,20 @@ def _setting_differences(base: Run, other: Run) -> Iterator[Difference]:
             yield Difference(name, *values)
 
 
-def _frame_as_dict(frame: FrameChange) -> dict[str, Any]:
+def _frame_as_dict(frame: FrameChange, named: tuple[str, str], apart_m: float) -> dict[str, Any]:
     sides = {
         side: {
             "status": status,
             "rte_m": None if errors is None else errors.distance_m,
             "rre_deg": None if errors is None else errors.angle_deg,
+            "diagnosis": diagnosis,
         }
-        for side, status, errors in zip(("base", "other"), frame.status, frame.errors, strict=True)
+        for side, status, errors, diagnosis in zip(
+            ("base", "other"), frame.status, frame.errors, named, strict=True
+        )
     }
-    return {"frame": frame.index, "change": frame.change, **sides}
+    apart = None if np.isnan(apart_m) else apart_m
+    return {"frame": frame.index, "change": frame.change, "apart_m": apart, **sides}
 
 
 def _diagnoses(comparison: Comparison) -> str:
@@ -304,10 +329,14 @@ def _difference_lines(comparison: Comparison) -> Iterator[str]:
 
 def _counts(comparison: Comparison) -> str:
     counts = {name: int(value or 0) for name, value in comparison.counts.items()}
-    return (
+    text = (
         f"{len(comparison.frames)} frames in both: {counts['fixed']} fixed, "
         f"{counts['broken']} broken, {counts['same']} same"
     )
+    median_m, most_m = (comparison.counts[f"{name}_apart_m"] for name in ("median", "max"))
+    if median_m is None or most_m is None:
+        return text
+    return f"{text}; poses {median_m:.3f} m apart (median), at most {most_m:.2f} m"
 
 
 def _frames(comparison: Comparison, change: Change) -> str:

@@ -20,7 +20,11 @@ from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import IntArray
 from semviz_core.diagnosis import reference
 from semviz_core.diagnosis.confidence import what_tells_apart
-from semviz_core.diagnosis.element_statistics import ElementRecord, element_records
+from semviz_core.diagnosis.element_statistics import (
+    DiagnosedFrame,
+    ElementRecord,
+    element_records,
+)
 from semviz_core.diagnosis.fault import (
     FALSE_POSITIVE,
     UNKNOWN_ID,
@@ -127,11 +131,11 @@ def run_elements(
     run: Run, watch: reference.ProgressCallback = reference.no_progress
 ) -> tuple[ElementRecord, ...]:
     """Return every map element in view of some frame; outliers in most frames first."""
-    return element_records(_LocalizedFrames(run), run.semantic_map, detector_of(run), watch)
+    return element_records(_DiagnosedFrames(run), run.semantic_map, detector_of(run), watch)
 
 
-class _LocalizedFrames(Sequence[tuple[Localization, GroundTruth | None]]):
-    """The frames of a run with their ground truth, each made when it is needed."""
+class _DiagnosedFrames(Sequence[DiagnosedFrame]):
+    """The frames of a run with their ground truth and faults, each made when it is needed."""
 
     def __init__(self, run: Run) -> None:
         self._run = run
@@ -141,7 +145,9 @@ class _LocalizedFrames(Sequence[tuple[Localization, GroundTruth | None]]):
 
     def __getitem__(self, position: Any) -> Any:
         frame = self._run.frames[position]
-        return frame.localization, truth_of(self._run, frame)
+        found = frame_diagnosis(self._run, frame)
+        faults = (*found.secondary_faults, found.fault)
+        return DiagnosedFrame(frame.localization, truth_of(self._run, frame), faults)
 
 
 LISTED = 2
@@ -180,11 +186,11 @@ class DiagnosisCard:
 
 
 def diagnosis_sentence(run: Run, record: FrameRecord) -> str:
-    """Return the solver's reason, and the diagnosis if it adds to it."""
+    """Return the cause, if the diagnosis adds one, and the solver's reason."""
     reason = record.localization.reason
     if not _adds_to_status(run, record):
         return reason
-    return f"{reason} {frame_diagnosis(run, record).sentence}"
+    return f"{frame_diagnosis(run, record).sentence} {reason}"
 
 
 def diagnosis_card(run: Run, record: FrameRecord, detection: DetectionErrors) -> DiagnosisCard:

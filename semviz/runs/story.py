@@ -60,6 +60,8 @@ class RunStory:
     """(n,) of each frame."""
     causes: tuple[Cause, ...]
     """By falling number of wrong frames."""
+    harmless: tuple[RunFault, ...]
+    """What the whole run shows that makes no frame wrong by itself, in most frames first."""
     route: tuple[RoutePart, ...]
     length_m: float
 
@@ -92,21 +94,35 @@ class RunStory:
 
     @property
     def detail(self) -> str:
-        """The largest causes, with the frames that they explain."""
-        return " ".join(
+        """The largest causes, with the frames that they explain, then what does no harm."""
+        told = [
             f"{cause.kind.capitalize()}: {frames_text(self.run, cause.frames)}."
             for cause in self.causes[:2]
-        )
+        ]
+        if kinds := Counter(fault.kind for fault in self.harmless):
+            named = (f"{number} {kind}" if number > 1 else kind for kind, number in kinds.items())
+            told.append(f"Also found, without a wrong frame of its own: {', '.join(named)}.")
+        return " ".join(told)
 
 
 def tell(run: Run, diagnosis: RunDiagnosis | None) -> RunStory:
     """Return the story of a run; without its diagnosis, from those of its frames."""
     is_wrong = wrong_frames(run)
+    causes = _causes(run, diagnosis, is_wrong)
+    named = {cause.sentence for cause in causes}
+    harmless = [fault for fault in _faults(diagnosis) if fault.sentence not in named]
+    harmless.sort(key=lambda fault: -len(fault.frames))
     centers = _centers(run)
     length_m = float(np.linalg.norm(np.diff(centers, axis=0), axis=1).sum()) if len(centers) else 0
-    return RunStory(
-        run, is_wrong, _causes(run, diagnosis, is_wrong), _route(centers, is_wrong), length_m
-    )
+    route = _route(centers, is_wrong)
+    return RunStory(run, is_wrong, causes, tuple(harmless), route, length_m)
+
+
+def _faults(diagnosis: RunDiagnosis | None) -> list[RunFault]:
+    if diagnosis is None:
+        return []
+    camera = [] if diagnosis.calibration is None else [diagnosis.calibration]
+    return [*diagnosis.causes, *camera, *diagnosis.elements]
 
 
 def stretches(frames: Sequence[int]) -> list[tuple[int, int]]:
@@ -178,7 +194,8 @@ def _causes(run: Run, diagnosis: RunDiagnosis | None, is_wrong: BoolArray) -> tu
         explained += [(fault, _with_its_name(fault, names)) for fault in diagnosis.elements]
     if diagnosis is not None and diagnosis.calibration is not None:
         fault = diagnosis.calibration
-        causes.append(Cause(fault.kind, fault.sentence, tuple(names), is_of_run=True))
+        if names:
+            causes.append(Cause(fault.kind, fault.sentence, tuple(names), is_of_run=True))
         names = {}
     for fault, frames in sorted(explained, key=lambda pair: -len(pair[1])):
         left = tuple(position for position in frames if position in names)

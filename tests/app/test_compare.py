@@ -187,6 +187,11 @@ def test_json_is_as_promised(command: Call, pair: tuple[Path, Path]) -> None:
     assert told["metrics"].keys() == metrics_of(small_run()).keys()
     assert told["diagnoses"]["healthy"] == {"base": 4, "other": 2}
     assert [frame["frame"] for frame in told["each"]] == list(FRAMES)
+    named = [frame["base"]["diagnosis"] for frame in told["each"]]
+    assert named.count("healthy") == told["diagnoses"]["healthy"]["base"]
+    apart = [frame["apart_m"] for frame in told["each"] if frame["apart_m"] is not None]
+    assert told["apart_m"] == {"median": np.median(apart), "max": max(apart)}
+    assert max(apart) > 1.0
 
 
 @pytest.mark.parametrize(
@@ -198,6 +203,8 @@ def test_json_is_as_promised(command: Call, pair: tuple[Path, Path]) -> None:
         ("diagnosed_healthy < base", 1),
         ("diagnosed_time_offset > 0", 0),
         ("broken > 3", 0),
+        ("max_apart_m > 1", 1),
+        ("median_apart_m > 100", 0),
         ("coverage < base", 0),  # four of six in both
         ("coverage <= base", 1),
         ("0.1 < coverage < 0.5", 0),

@@ -1,8 +1,10 @@
 """The tab "Elements": what is wrong over the run, each element in numbers; frames by element."""
 
+import re
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,11 +24,13 @@ from semviz.inspector.elements import (
     frames_of,
 )
 from semviz.inspector.server import Inspector
-from semviz.runs.diagnosis import run_diagnosis, run_elements
+from semviz.runs.diagnosis import frame_diagnosis, run_diagnosis, run_elements
 from semviz.runs.run import Run
 from semviz.web.gateway import Gateway
+from semviz_core.base.elements import joined
+from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.diagnosis.element_statistics import ElementRecord
-from semviz_core.diagnosis.fault import EvidenceItem, Fault, RunFault
+from semviz_core.diagnosis.fault import EvidenceItem, Fault, FrameDiagnosis, RunFault
 from semviz_core.diagnosis.run import RunDiagnosis
 
 if TYPE_CHECKING:
@@ -51,6 +55,29 @@ def test_an_element_that_moved_in_the_map_comes_out_on_top() -> None:
     assert worst["outlier"] == worst["seen"] >= 3
     assert np.any(run.frames[worst["position"]].element_id == pole)
     assert all(other["outlier"] < 2 for other in others)
+    named = [k for k, frame in enumerate(run.frames) if pole in blamed(frame_diagnosis(run, frame))]
+    assert worst["blamed"] == [["moved in the map", len(named)]]
+    assert len(named) >= 3
+
+
+def blamed(diagnosis: FrameDiagnosis) -> set[int]:
+    faults = (diagnosis.fault, *diagnosis.secondary_faults)
+    return {element for fault in faults for element in fault.elements}
+
+
+def test_elements_at_one_position_are_each_others_duplicates() -> None:
+    run, pole = run_with_a_moved_pole()
+    elements = run.semantic_map.elements
+    copy = replace(
+        elements[elements.id == pole],
+        id=np.array([9999]),
+        anchor_m=elements.anchor_m[elements.id == pole] + [0.3, 0.4, 0.0],
+    )
+    doubled = SemanticMap(joined(elements, copy), run.semantic_map.frame)
+    rows = view_of(replace(run, semantic_map=doubled))["rows"]
+    (told,) = [row for row in rows if row["id"] == pole]
+    assert (told["duplicate"], told["duplicate_m"]) == ("P-9999", pytest.approx(0.5))
+    assert all(row["duplicate_m"] is None for row in rows if row["id"] not in (pole, 9999))
 
 
 def test_where_nothing_is_wrong_nothing_is_named() -> None:
@@ -134,7 +161,9 @@ def test_it_is_worked_out_once_and_tells_how_far_it_is() -> None:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return saved(run_with_a_moved_pole()[0], tmp_path_factory.mktemp("runs") / "moved.rrd")
+    run, _ = run_with_a_moved_pole()
+    run = replace(run, info=replace(run.info, version=version("semviz")))  # keeps its diagnoses
+    return saved(run, tmp_path_factory.mktemp("runs") / "moved.rrd")
 
 
 @pytest.fixture
@@ -160,6 +189,15 @@ def test_the_moved_pole_is_named_first_and_a_click_shows_it(url: str, page: "Pag
     page.locator("#element-head button", has_text="element").click()
     names = [str(node.text_content()) for node in rows.locator("b").all()]
     assert names == sorted(names, key=lambda name: (name[0], int(name[2:])))
+    page.locator("#finding-filter").select_option("moved in the map")
+    wait_for(page, lambda: rows.count() == 1, "the blamed pole alone")
+    assert rows.first.locator("b").text_content() == name
+    wait_for(page, lambda: in_url(page, "finding") == "moved in the map", "the address")
+    page.locator("#finding-filter").select_option("")
+    page.locator("#element-head .blamed").click()
+    counts = [int(node.text_content() or "") for node in rows.locator(".blamed").all()]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] > 0
     poles = page.locator("#element-classes button[title=pole]")
     poles.click()
     assert rows.count() == int(poles.locator("span").text_content() or "")
@@ -191,3 +229,13 @@ def test_frames_are_filtered_by_element_status_and_diagnosis_together(
     page.locator("#element-filter").click()
     page.locator("#filters button").first.click()
     wait_for(page, lambda: listed.count() == everything, "all frames again")
+
+
+@pytest.mark.browser
+def test_what_was_noticed_is_listed_by_how_far_it_is_off(url: str, page: "Page") -> None:
+    open_flat(page, url, "noticed=yes")
+    cells = page.locator("#frame-list .diagnosis")
+    wait_for(page, lambda: cells.count() > 3, "the frames")
+    wait_for(page, lambda: "noticed" in page.inner_text("#found-head"), "the column's name")
+    off_px = [int(re.findall(r"(\d+) px", str(cell.text_content()))[0]) for cell in cells.all()]
+    assert off_px == sorted(off_px, reverse=True)

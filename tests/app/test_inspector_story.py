@@ -90,6 +90,18 @@ def test_a_cause_of_the_whole_run_takes_the_frames_that_it_explains_from_their_o
     assert story.causes[0].kind == "wrong heading prior"
     assert story.causes[0].frames == (1, 2)  # frame 0 is right
     assert [cause.frames for cause in story.causes[1:]] == [(4,)]
+    assert story.harmless == ()
+
+
+def test_a_cause_that_makes_no_frame_wrong_is_told_after_the_others() -> None:
+    run = lost_run()
+    mount = RunFault("wrong extrinsic", "The camera is mounted 0.6 m right.", frames=(0, 3, 5))
+    story = tell(run, RunDiagnosis(None, (), len(run.frames), (mount,)))
+    assert story.harmless == (mount,)
+    assert mount.kind not in {cause.kind for cause in story.causes}
+    assert story.detail.endswith("Also found, without a wrong frame of its own: wrong extrinsic.")
+    (told,) = story_view(story).harmless
+    assert (told.frames, told.is_of_run) == ((0, 3, 5), True)
 
 
 def test_a_fault_of_an_element_explains_only_frames_that_it_is_the_diagnosis_of() -> None:

@@ -12,6 +12,7 @@ from small_runs import saved
 
 from semviz.runs.run import FrameRecord, Run, RunInfo
 from semviz.workspace.workspace import Workspace
+from semviz_annotation.map_formats.georeference import Georeference
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.diagnosis.fault import UNKNOWN_ID
 
@@ -65,6 +66,40 @@ def test_what_vanished_is_told_and_taken_out_of_a_new_map(
     assert status == 0
     kept = load_map(workspace.map_path("next"))
     assert gone in {kept.name_of(id_) for id_ in kept.elements.id.tolist()}
+
+
+def test_changes_are_written_for_other_tools_where_they_are_on_earth(
+    town: tuple[Workspace, list[Path], str], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    workspace, runs, gone = town
+    path = tmp_path / "changes.geojson"
+    command = ("map", "changes", workspace.path, *runs, "--geojson", path)
+    status, _, errors = call(capsys, *command)
+    assert (status, errors.count("\n")) == (2, 1)
+    assert "GeoJSON is in longitude and latitude" in errors
+    assert "--anchor" in errors
+    anchor = ("--anchor", "49.01,8.42,115", "--anchor-heading", "30")
+    status, output, _ = call(capsys, *command, *anchor)
+    assert status == 0
+    assert f"{path}: " in output
+    file = json.loads(path.read_text())
+    assert file["semviz"]["passes"] == [run.stem for run in runs]
+    (feature,) = [one for one in file["features"] if one["properties"]["name"] == gone]
+    told = feature["properties"]
+    assert (told["change"], told["place"], told["since"]) == ("vanished", "mapped", "pass-2")
+    assert told["existence"] < 0.05
+    assert told["frames_in_view"][-1] > told["frames_seen"][-1] == 0
+    mapped = load_map(workspace.map_path("main"))
+    elements = mapped.elements
+    (row,) = [k for k, id_ in enumerate(elements.id.tolist()) if mapped.name_of(id_) == gone]
+    points = np.atleast_2d(feature["geometry"]["coordinates"])
+    place = Georeference(49.01, 8.42, 115.0, 30.0)
+    np.testing.assert_allclose(place.to_map(points)[0], elements.anchor_m[row], atol=1e-4)
+    status, _, _ = call(capsys, *command, *anchor)  # a second call replaces its own file
+    assert status == 0
+    path.write_text("notes")
+    status, _, errors = call(capsys, *command, *anchor)
+    assert (status, errors.count("\n")) == (2, 1)
 
 
 def test_what_cannot_be_answered_is_refused_in_one_line(

@@ -20,6 +20,11 @@ from semviz_core.base.pose import Pose, heading_rad
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.diagnosis import reference
 from semviz_core.diagnosis import run as run_module
+from semviz_core.diagnosis.cause_fits import (
+    LEAST_NATS_WITHOUT_TRUTH,
+    common_cause,
+    rated_causes,
+)
 from semviz_core.diagnosis.checks import find_faults
 from semviz_core.diagnosis.confidence import CONFIDENCE, SURE, what_tells_apart
 from semviz_core.diagnosis.fault import (
@@ -32,7 +37,7 @@ from semviz_core.diagnosis.fault import (
 )
 from semviz_core.diagnosis.frame import diagnose_frame
 from semviz_core.diagnosis.ray_meetings import RayMeetings, UnmatchedRays, Views
-from semviz_core.diagnosis.reference import is_healthy
+from semviz_core.diagnosis.reference import FrameReference, is_healthy
 from semviz_core.diagnosis.run import RunDiagnosis, diagnose_run
 from semviz_core.research.evaluation.problems import (
     DETECTOR,
@@ -182,6 +187,21 @@ def test_odometry_without_poses_tells_nothing() -> None:
     unknown = [None] * len(drive.frames)
     none = diagnose_run(drive.frames, drive.semantic_map, DETECTOR, odometry=unknown)
     assert few.causes == none.causes == ()
+
+
+@pytest.mark.parametrize("seed", [5, 7])
+def test_frames_that_see_the_same_elements_again_make_no_calibration_wrong(seed: int) -> None:
+    """The errors of mapped positions are the same in each pass."""
+    run = plant_in_run("healthy", seed, default_road())
+    assert run is not None
+    cases = [
+        FrameReference.of(result, run.semantic_map, None, DETECTOR)
+        for result, _ in run.frames
+        if result.status == "ok"
+    ]
+    (best, *_) = rated_causes(cases * 6)
+    assert best.nats_without_best > LEAST_NATS_WITHOUT_TRUTH
+    assert common_cause(cases * 6) is None
 
 
 def test_a_moved_element_is_no_common_cause() -> None:

@@ -11,7 +11,11 @@ from support.planted_runs import FRAMES, STEP, PlantedRun, plant_in_run
 
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.localization import Localization
-from semviz_core.diagnosis.element_statistics import ElementRecord, element_records
+from semviz_core.diagnosis.element_statistics import (
+    DiagnosedFrame,
+    ElementRecord,
+    element_records,
+)
 from semviz_core.diagnosis.fault import FaultKind, GroundTruth
 from semviz_core.research.evaluation.problems import (
     DETECTOR,
@@ -28,7 +32,8 @@ def planted_run(fault: FaultKind) -> PlantedRun:
 
 
 def records_of(run: PlantedRun) -> tuple[ElementRecord, ...]:
-    return element_records(run.frames, run.semantic_map, DETECTOR)
+    frames = [DiagnosedFrame(*frame) for frame in run.frames]
+    return element_records(frames, run.semantic_map, DETECTOR)
 
 
 def test_a_moved_element_comes_first_and_fits_in_no_frame() -> None:
@@ -72,7 +77,9 @@ def test_an_element_that_pulls_answers_costs_and_one_that_holds_them_helps() -> 
     frames, elements, element = a_drive()
     pulled = shifted(elements, element, np.array([0.25, 0.3, 0.0]))
     given = [replace(frame, elements=pulled) for frame in frames]
-    localized = [(pose.localized(), GroundTruth(pose.T_camera_map, pose.ids)) for pose in given]
+    localized = [
+        DiagnosedFrame(pose.localized(), GroundTruth(pose.T_camera_map, pose.ids)) for pose in given
+    ]
     records = element_records(localized, given[0].semantic_map, DETECTOR)
     costs = {record.id: record.mean_cost_m for record in records if record.cost_m}
     assert max(costs, key=lambda id: costs[id]) == element
@@ -94,7 +101,7 @@ def a_drive() -> tuple[list[Given], Elements3D, int]:
 def test_without_the_true_poses_nothing_is_said_of_costs() -> None:
     run = planted_run("healthy")
     records = element_records(
-        [(frame, None) for frame, _ in run.frames], run.semantic_map, DETECTOR
+        [DiagnosedFrame(frame, None) for frame, _ in run.frames], run.semantic_map, DETECTOR
     )
     assert records
     assert not any(record.cost_m for record in records)
@@ -108,7 +115,8 @@ def test_progress_is_told() -> None:
         told.append((what, total))
         return cases
 
-    element_records(run.frames, run.semantic_map, DETECTOR, watch)
+    frames = [DiagnosedFrame(*frame) for frame in run.frames]
+    element_records(frames, run.semantic_map, DETECTOR, watch)
     assert told == [("checking elements", len(run.frames))]
 
 

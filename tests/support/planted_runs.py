@@ -67,7 +67,7 @@ def plant_in_run(
         return None
     element = int(ids[np.argmax(times)])
     named: tuple[int, ...] = ()
-    odometry = _odometry(frames, seed, ODOMETRY_FAULTS if fault == "wrong odometry" else ())
+    odometry = odometry_of(frames, seed, ODOMETRY_FAULTS if fault == "wrong odometry" else ())
     if fault in _WHOLE:
         frames = _WHOLE[fault](frames, rng)
     elif fault in _FAULTS:
@@ -75,7 +75,7 @@ def plant_in_run(
         frames, named = [replace(frame, elements=changed) for frame in frames], tuple(named_ids)
     if fix_sigma_m is not None:
         frames = [_with_fix(frame, fix_sigma_m, rng) for frame in frames]
-    return replace(_localized(fault, frames, named), odometry=odometry)
+    return replace(_localized(fault, frames, named), odometry=tuple(odometry))
 
 
 def _with_fix(given: Given, sigma_m: float, rng: np.random.Generator) -> Given:
@@ -85,9 +85,9 @@ def _with_fix(given: Given, sigma_m: float, rng: np.random.Generator) -> Given:
     return replace(given, prior=prior)
 
 
-def _odometry(
+def odometry_of(
     frames: list[Given], seed: int, faults: Sequence[tuple[int, float, float]]
-) -> tuple[Odometry | None, ...]:
+) -> list[Odometry | None]:
     """Odometry with 1 % and 0.1 deg noise, as it states, and one of ``faults``."""
     rng, noise, off = np.random.default_rng([seed, 12]), OdometryNoise(), np.zeros(2)
     if faults:
@@ -100,7 +100,7 @@ def _odometry(
         turn = Pose.from_rotvec(np.array([0.0, off[1], 0.0]), np.zeros(3))
         longer = Pose(moved.rotation, (1.0 + off[0]) * moved.translation)
         steps.append(Odometry(turn @ longer, step.covariance))
-    return tuple(steps)
+    return steps
 
 
 def _start(road: BenchmarkRoad, count: int, rng: np.random.Generator, turning: bool) -> int:

@@ -5,7 +5,7 @@ written file names the map frame and its origin.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -58,31 +58,40 @@ def write_geojson(
     place = require_georeference(georeference, NEEDS_PLACE)
     features = _features(semantic_map, place)
     if len(semantic_map.trajectory_m) > 1:
-        road = _rounded(place.to_wgs84(semantic_map.trajectory_m))
-        features.append(_feature("LineString", road, {"semviz": ROAD}))
-    collection = {
-        "type": "FeatureCollection",
-        "semviz": {
-            "frame": semantic_map.frame.name,
-            "anchor": place.origin,
-            "x_heading_deg": place.x_heading_deg,
-            "triangle_center": semantic_map.triangle_center,
-        },
-    }
-    lines = ",\n".join(as_json(feature) for feature in features)
-    with replacing(path) as temporary:
-        temporary.write_text(
-            f'{as_json(collection)[:-1]}, "features": [\n{lines}\n]}}\n', encoding="utf-8"
-        )
+        road = rounded(place.to_wgs84(semantic_map.trajectory_m))
+        features.append(feature("LineString", road, {"semviz": ROAD}))
+    write_collection(
+        path, semantic_map, place, {"triangle_center": semantic_map.triangle_center}, features
+    )
     tally = ConversionTally()
     drop_making(semantic_map, tally)
     return tally
 
 
+def write_collection(
+    path: Path,
+    semantic_map: SemanticMap,
+    place: Georeference,
+    about: Mapping[str, Any],
+    features: Sequence[Mapping[str, Any]],
+) -> None:
+    """Write features of a map, one a line, with the map's origin and what the file is ``about``."""
+    origin = {"anchor": place.origin, "x_heading_deg": place.x_heading_deg}
+    collection = {
+        "type": "FeatureCollection",
+        "semviz": {"frame": semantic_map.frame.name, **origin, **about},
+    }
+    lines = ",\n".join(as_json(one) for one in features)
+    with replacing(path) as temporary:
+        temporary.write_text(
+            f'{as_json(collection)[:-1]}, "features": [\n{lines}\n]}}\n', encoding="utf-8"
+        )
+
+
 def _features(semantic_map: SemanticMap, place: Georeference) -> list[dict[str, Any]]:
     elements = semantic_map.elements
     anchors, ends = (
-        _rounded(place.to_wgs84(points))
+        rounded(place.to_wgs84(points))
         for points in (elements.anchor_m, np.nan_to_num(elements.end_m))
     )
     J = np.kron(np.eye(2), place.rotation)
@@ -107,22 +116,24 @@ def _features(semantic_map: SemanticMap, place: Georeference) -> list[dict[str, 
             properties["end_known"] = bool(elements.end_known[row])
         coordinates = [anchors[row], ends[row]] if is_line else anchors[row]
         kind = "LineString" if is_line else "Point"
-        features.append(_feature(kind, coordinates, properties, int(elements.id[row])))
+        features.append(feature(kind, coordinates, properties, int(elements.id[row])))
     return features
 
 
-def _feature(
+def feature(
     kind: str, coordinates: object, properties: Mapping[str, Any], id_: int | None = None
 ) -> dict[str, Any]:
+    """Return a feature of GeoJSON; ``coordinates`` are ``rounded``."""
     geometry = {"type": kind, "coordinates": coordinates}
     named = {} if id_ is None else {"id": id_}
     return {"type": "Feature", **named, "geometry": geometry, "properties": dict(properties)}
 
 
-def _rounded(places: FloatArray) -> list[list[float]]:
+def rounded(places: FloatArray) -> list[list[float]]:
+    """Return longitudes, latitudes and heights (n, 3) as they are written."""
     degrees, heights = np.round(places[:, :2], DIGITS_DEG), np.round(places[:, 2:], DIGITS_M)
-    rounded: list[list[float]] = np.concatenate([degrees, heights], axis=1).tolist()
-    return rounded
+    values: list[list[float]] = np.concatenate([degrees, heights], axis=1).tolist()
+    return values
 
 
 def read_geojson(path: Path, context: conversion.MapImportContext) -> conversion.ParsedMap:

@@ -33,6 +33,9 @@ NEEDED_PAIRS = 8
 LEAST_NATS, LEAST_NATS_WITHOUT_TRUTH = 20.0, 8.0
 """Log-likelihood that a cause must add, beyond its parameters and without its best element. Poses
 of the images themselves absorb most of what is by chance."""
+LEAST_SIGMAS = 2.0
+"""Standard deviations, over the elements, that what a cause adds without true poses must be above
+zero: frames that see one element again repeat the error of its mapped position."""
 RIVAL_NATS = 6.0
 """Causes closer than this cannot be told apart."""
 LEAST_HELPED = 0.5
@@ -120,12 +123,16 @@ class RatedCause:
     """The same without the element that it helps most."""
     helped: float
     """Share of the frames that are likelier with it."""
+    sigmas: float
+    """``nats`` in standard deviations of the sum over elements."""
 
     @property
     def is_fault(self) -> bool:
         if self.helped < LEAST_HELPED:
             return False
         with_truth = self.fit.frames.has_truth
+        if not with_truth and self.sigmas < LEAST_SIGMAS:
+            return False
         least = LEAST_NATS if with_truth else LEAST_NATS_WITHOUT_TRUTH
         return self.nats_without_best > least and _is_large(self.fit)
 
@@ -212,7 +219,9 @@ def _rated(fit: CauseFit, nothing: CauseFit, scale: float, pairs: int) -> RatedC
     nats = sum(gains.values()) - 0.5 * fit.cause.parameters * float(np.log(pairs))
     changed = [gain for gain in by_frame if gain]
     helped = sum(gain > 0.0 for gain in changed) / max(len(changed), 1)
-    return RatedCause(fit, nats, nats - max(gains.values(), default=0.0), helped)
+    without_best = nats - max(gains.values(), default=0.0)
+    deviation = float(np.linalg.norm(list(gains.values())))
+    return RatedCause(fit, nats, without_best, helped, nats / deviation if deviation else 0.0)
 
 
 def _is_large(fit: CauseFit) -> bool:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from semviz_core.base.elements import Elements, Elements3D
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, IntArray
 from semviz_core.diagnosis.fault import FALSE_POSITIVE, UNKNOWN_ID, EvidenceItem, Fault
 from semviz_core.diagnosis.reference import FrameReference
 from semviz_core.localization.problem import PoseProblem
@@ -168,22 +168,29 @@ def _of_one_class(elements: Elements) -> Elements:
 
 def _duplicate_faults(case: FrameReference) -> list[Fault]:
     """Return one fault for each unmatched element in view at the position of a matched one."""
-    faults = []
-    for i, j in case.pairs:
-        for copy in np.flatnonzero(_at_same_position(case.nearby, int(j))):
-            if case.missed[copy]:
-                faults.append(_duplicate_fault(case, int(i), int(j), int(copy)))
-    return faults
+    copies = same_positions(case.nearby)
+    return [
+        _duplicate_fault(case, int(i), int(j), copy)
+        for i, j in case.pairs
+        for copy in copies.get(int(j), ())
+        if case.missed[copy]
+    ]
 
 
-def _at_same_position(elements: Elements3D, j: int) -> BoolArray:
-    """Return (n,) the other elements of the class of ``j`` at its position."""
-    offset_m: FloatArray = elements.anchor_m - elements.anchor_m[j]
-    near = np.hypot(offset_m[:, 0], offset_m[:, 1]) < DUPLICATE_M
-    near &= np.abs(offset_m[:, 2]) < DUPLICATE_HEIGHT_M
-    return np.asarray(
-        near & (elements.class_id == elements.class_id[j]) & (elements.id != elements.id[j])
-    )
+def same_positions(elements: Elements3D) -> dict[int, list[int]]:
+    """Return, by row, the rows of the other elements of its class at its position, where there are
+    any."""
+    from scipy.spatial import cKDTree
+
+    copies: dict[int, list[int]] = {}
+    near = cKDTree(elements.anchor_m[:, :2]).query_pairs(DUPLICATE_M, output_type="ndarray")
+    i, j = near[np.lexsort(near.T[::-1])].T
+    same = elements.class_id[i] == elements.class_id[j]
+    same &= np.abs(elements.anchor_m[i, 2] - elements.anchor_m[j, 2]) < DUPLICATE_HEIGHT_M
+    for a, b in np.stack([i, j], axis=1)[same].tolist():
+        copies.setdefault(a, []).append(b)
+        copies.setdefault(b, []).append(a)
+    return copies
 
 
 def _duplicate_fault(case: FrameReference, i: int, j: int, copy: int) -> Fault:

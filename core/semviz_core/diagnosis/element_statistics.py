@@ -1,7 +1,9 @@
-"""Statistics of each map element over a run: in view, detected, inlier, effect on the error."""
+"""Statistics of each map element over a run: in view, detected, inlier, blamed, effect on the
+error."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,11 +13,20 @@ from semviz_core.base.localization import Localization
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import IntArray
 from semviz_core.diagnosis import reference
-from semviz_core.diagnosis.fault import GroundTruth
+from semviz_core.diagnosis.fault import Fault, FaultKind, GroundTruth
 from semviz_core.localization.least_squares import fit_record
 from semviz_core.localization.problem import PoseProblem, PriorRecord
 from semviz_core.localization.refinement import NEEDED_PAIRS
 from semviz_core.localization.upright import assumed_upright
+
+
+class DiagnosedFrame(NamedTuple):
+    """A frame, and what its diagnosis found."""
+
+    localization: Localization
+    truth: GroundTruth | None
+    faults: tuple[Fault, ...] = ()
+    """That which made it fail last."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +49,8 @@ class ElementRecord:
     """How much larger the error is with it than without, in each of ``used`` with a true pose. The
     pose is refined again with the other pairs; the search is not repeated. Frames that need the
     element have no value, nor have tracks, whose poses rest on earlier frames."""
+    blamed: dict[int, FaultKind] = field(default_factory=dict)
+    """Frames whose diagnosis blames it, and as what."""
 
     @property
     def outlier_share(self) -> float:
@@ -56,7 +69,7 @@ class ElementRecord:
 
 
 def element_records(
-    frames: Sequence[tuple[Localization, GroundTruth | None]],
+    frames: Sequence[DiagnosedFrame],
     semantic_map: SemanticMap,
     detector: DetectorModel | None = None,
     watch: reference.ProgressCallback = reference.no_progress,
@@ -66,14 +79,30 @@ def element_records(
     Frames are taken one by one, so they may come from a file.
     """
     records: dict[int, ElementRecord] = {}
-    cases = (
-        reference.FrameReference.of(localization, semantic_map, truth, detector)
-        for localization, truth in frames
-    )
-    for position, case in enumerate(watch(cases, "checking elements", len(frames))):
+
+    def cases() -> Iterator[reference.FrameReference]:
+        for position, frame in enumerate(frames):
+            _add_blame(records, position, frame.faults, semantic_map)
+            yield reference.FrameReference.of(
+                frame.localization, semantic_map, frame.truth, detector
+            )
+
+    for position, case in enumerate(watch(cases(), "checking elements", len(frames))):
         if case.reference is not None:
             _add_case(records, position, case)
     return tuple(sorted(records.values(), key=lambda record: (-len(record.outlier), record.id)))
+
+
+def _add_blame(
+    records: dict[int, ElementRecord],
+    position: int,
+    faults: Sequence[Fault],
+    semantic_map: SemanticMap,
+) -> None:
+    for fault in faults:
+        for id in fault.elements:
+            if id in semantic_map:  # a missing element is not
+                records.setdefault(id, ElementRecord(id)).blamed[position] = fault.kind
 
 
 def _add_case(

@@ -1,7 +1,7 @@
 // @ts-check
 /* The list of frames, worst first, and its filters: by status, diagnosis and element. */
 
-import { byId, el, fixed } from "/static/dom.js";
+import { byId, el, fixed, unbroken } from "/static/dom.js";
 import { statusMark } from "/static/glyphs.js";
 import { VirtualList } from "/static/virtual_list.js";
 import { flag, memberOf, numberOf, textOf, wholeNumber, yes } from "./address.js";
@@ -32,6 +32,23 @@ export function severity(row) {
   if (row.status === "cannot") return 1e6;
   if (row.status === "ambiguous") return 5e5 + errorM;
   return errorM;
+}
+
+/** The largest error in pixels that a frame's noticed faults tell; 0 without any.
+ *
+ * @param {FrameRow} row
+ */
+function noticedPx({ noticed }) {
+  return Math.max(0, ...[...noticed.matchAll(/(\d+) px/g)].map(([, px]) => Number(px)));
+}
+
+/** The first of the noticed faults, and how many more there are: lines of the list are short.
+ *
+ * @param {string} noticed
+ */
+function firstNoticed(noticed) {
+  const [first, ...others] = noticed.split(/; |, /);
+  return others.length ? `${first} +${others.length}` : first;
 }
 
 /** @param {FrameRow} row */
@@ -208,7 +225,9 @@ export class FrameList {
   }
 
   fill() {
-    this.groups = grouped(this.rows()).sort((a, b) => b.severity - a.severity || a.first - b.first);
+    const first = (/** @type {FrameGroup} */ { row }) => (this.noticed ? noticedPx(row) : 0);
+    this.groups = grouped(this.rows()).sort((a, b) => first(b) - first(a) || b.severity - a.severity || a.first - b.first);
+    byId("found-head").textContent = this.noticed ? "noticed" : "diagnosis";
     this.groupOf = new Int32Array(this.page.store.run.frames.length).fill(-1);
     this.groups.forEach(({ first, last }, index) => this.groupOf.fill(index, first, last + 1));
     this.rowList.show(this.groups.length);
@@ -278,7 +297,7 @@ function listRow({ row, first, last }) {
     statusMark(row.status),
     el("span", { class: "index", text: row.index }),
     el("span", { class: row.overconfident ? "wrong" : "", text: errorText(row) }),
-    el("span", { class: "diagnosis", text: row.noticed || row.diagnosis }),
+    el("span", { class: "diagnosis" }, ...unbroken(row.noticed ? firstNoticed(row.noticed) : row.diagnosis)),
     el("span", { class: "count", text: frames > 1 ? `${frames}×` : "" }));
 }
 

@@ -25,8 +25,8 @@ const MODES = {
   error: { title: "map from true pose to estimate", pose: "estimate", magnification: 1 },
 };
 const MISSING = {
-  estimate: "no pose: press 2 to project the map with the true pose",
-  truth: "no ground truth: press 1 to project the map with the estimate",
+  estimate: "no pose: press 2 for the true one",
+  truth: "no ground truth: press 1 for the estimate",
   pairs: "no pose: no pairs",
   error: "no ground truth or no pose: no error",
 };

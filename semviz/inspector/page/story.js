@@ -1,7 +1,7 @@
 // @ts-check
 /* The story of a run: how many frames are right, what explains the others, and where they are. */
 
-import { byId, el, fill, fixed } from "/static/dom.js";
+import { byId, el, fill, fixed, unbroken } from "/static/dom.js";
 import { statusMark } from "/static/glyphs.js";
 import { StoryMap } from "./story_map.js";
 
@@ -76,7 +76,7 @@ export class Story {
   /** @param {StoryView} found */
   showFound(found) {
     this.found = found;
-    if (this.cause) this.page.list.showCause(found.causes.find(({ kind }) => kind === this.cause?.kind) ?? null);
+    if (this.cause) this.page.list.showCause([...found.causes, ...found.harmless].find((cause) => isSame(cause, this.cause)) ?? null);
     byId("story-headline").textContent = found.headline;
     byId("story-detail").textContent = found.detail;
     fill(byId("story-tiles"), tiles(found));
@@ -86,24 +86,31 @@ export class Story {
   }
 
   /** @param {StoryView} found */
-  fillCauses({ causes, overconfident }) {
+  fillCauses({ causes, harmless, overconfident }) {
     const none = el("li", { class: "none dim", text: "Every frame is right." });
-    fill(byId("story-causes"), causes.length ? causes.map((cause) => this.entry(cause)) : [none]);
+    const also = harmless.length ? [el("li", { class: "none dim", text: "Also found, without a wrong frame of its own:" })] : [];
+    fill(byId("story-causes"), [
+      ...(causes.length ? causes.map((cause) => this.entry(cause, cause.frames.length.toLocaleString("en"))) : [none]),
+      ...also, ...harmless.map((cause) => this.entry(cause, "")),
+    ]);
     byId("story-truth").textContent = overconfident === null ? "without ground truth" : "with ground truth";
     this.mark();
   }
 
-  /** @param {StoryCause} cause */
-  entry(cause) {
+  /**
+   * @param {StoryCause} cause
+   * @param {string} count of wrong frames
+   */
+  entry(cause, count) {
     const { kind, sentence, where, frames, examples, is_of_run: ofRun } = cause;
     const { frames: rows } = this.page.store.run;
     const example = (/** @type {number} */ position) => el("button", {
       class: "small", text: rows[position].index, title: "Open this frame",
       onclick: (event) => { event.stopPropagation(); this.openFrame(position); } });
-    return el("li", { class: "cause", tabindex: 0, data: { kind }, onclick: () => this.choose(cause),
+    return el("li", { class: "cause", tabindex: 0, data: { kind, sentence }, onclick: () => this.choose(cause),
       onkeydown: (/** @type {KeyboardEvent} */ event) => { if (event.key === "Enter") this.choose(cause); } },
-      el("header", {}, statusMark(rows[frames[0]].status), el("b", { class: "kind", text: kind }), el("b", { class: "count", text: frames.length.toLocaleString("en") })),
-      el("p", { text: sentence }),
+      el("header", {}, frames.length ? statusMark(rows[frames[0]].status) : null, el("b", { class: "kind", text: kind }), el("b", { class: "count", text: count })),
+      el("p", {}, ...unbroken(sentence)),
       el("p", { class: "dim", text: `${where}${ofRun ? " · seen over the whole run" : ""}` }),
       el("div", { class: "examples" }, el("span", { class: "faint", text: "open" }), ...examples.map(example)));
   }
@@ -113,7 +120,7 @@ export class Story {
    * @param {StoryCause | null} cause
    */
   choose(cause) {
-    this.page.list.showCause(cause?.kind === this.cause?.kind ? null : cause);
+    this.page.list.showCause(isSame(cause, this.cause) ? null : cause);
     this.page.left.show("frames");
     this.mark();
   }
@@ -122,7 +129,7 @@ export class Story {
     this.map.select(this.cause);
     byId("story-all").hidden = this.cause === null;
     for (const entry of document.querySelectorAll("#story-causes .cause")) {
-      const isCurrent = entry instanceof HTMLElement && entry.dataset.kind === this.cause?.kind;
+      const isCurrent = entry instanceof HTMLElement && entry.dataset.sentence === this.cause?.sentence;
       entry.setAttribute("aria-current", String(isCurrent));
     }
   }
@@ -144,6 +151,13 @@ export class Story {
     return this.isOpen ? [this.map.surface.figure("where-it-fails", "Where it fails")] : [];
   }
 }
+
+/** Whether two causes are the same: several elements may have moved.
+ *
+ * @param {StoryCause | null} a
+ * @param {StoryCause | null} b
+ */
+const isSame = (a, b) => a?.kind === b?.kind && a?.sentence === b?.sentence;
 
 /** Numbers of the run, each above what it counts.
  *

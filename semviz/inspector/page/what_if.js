@@ -100,7 +100,7 @@ export class WhatIf {
       el("span", {}, error(before), el("span", { class: "dim", text: " → " }), el("b", { text: error(after) })),
       el("button", { class: "small", onclick: () => this.solveSuggestion() }, "Show", el("kbd", { text: "X" })));
     document.querySelector("#why-body .suggestion")?.remove();
-    document.querySelector("#why-body dl")?.after(row);
+    byId("why-actions").before(row);
   }
 
   /** @param {WhatIfGroup[]} groups */

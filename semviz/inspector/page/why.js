@@ -1,7 +1,7 @@
 // @ts-check
 /* The tab "Why": the diagnosis of a frame. */
 
-import { byId, el, fixed } from "/static/dom.js";
+import { byId, el, fixed, unbroken } from "/static/dom.js";
 import { statusMark } from "/static/glyphs.js";
 
 /** @typedef {import("/static/protocol").inspector.DiagnosisCard} DiagnosisCard */
@@ -23,18 +23,10 @@ export class WhyCard {
         el("span", { class: "about", id: "why-truth", text: about })),
       el("p", { class: "sentence" }, ...unbroken(sentence)),
       ...(tellsApart ? [el("p", { class: "tells-apart", id: "why-tells-apart", text: tellsApart })] : []),
-      el("dl", {}, ...numbers.map(([label, value]) => el("div", {}, el("dt", { text: label }), el("dd", { text: value })))),
       el("div", { class: "actions", id: "why-actions" }),
+      el("dl", {}, ...numbers.map(([label, value]) => el("div", {}, el("dt", { text: label }), el("dd", { text: value })))),
       ...(costs.length ? [el("div", { class: "times" }, ...costs.map((text) => el("span", { text })))] : []));
   }
-}
-
-/** A sentence whose element names, for example P-29, do not break across lines.
- *
- * @param {string} sentence
- */
-function unbroken(sentence) {
-  return sentence.split(/([A-Z]-\d+)/).map((part, place) => (place % 2 ? el("span", { text: part }) : part));
 }
 
 /** Labels and values of alternative poses; the last label counts those not listed.

@@ -101,3 +101,11 @@ function checked(node, name, kind) {
 export function fixed(value, decimals) {
   return value === null || value === undefined ? "—" : value.toFixed(decimals);
 }
+
+/** A text whose element names, for example P-29, do not break across lines.
+ *
+ * @param {string} text
+ */
+export function unbroken(text) {
+  return text.split(/([A-Z]-\d+)/).map((part, place) => (place % 2 ? el("span", { class: "unbroken", text: part }) : part));
+}

@@ -1810,6 +1810,9 @@ export interface ElementRow {
   share: number | null;
   median_px: number | null;
   cost_m: number | null;
+  blamed: Array<[string, number]>;
+  duplicate: string;
+  duplicate_m: number | null;
   log_odds: number | null;
   existence: string;
   position: number | null;
@@ -2725,6 +2728,7 @@ export interface StoryView {
   cannot: number;
   overconfident: number | null;
   causes: Array<StoryCause>;
+  harmless: Array<StoryCause>;
   route: Array<StoryPart>;
 }
 
