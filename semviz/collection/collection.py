@@ -11,6 +11,7 @@ Workspaces stay where they are, on a file system that all can open.
 
 import os
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeVar
@@ -25,6 +26,8 @@ from semviz_core.common.store import FolderStore, Store
 from semviz_core.map_tiles.tiled_map import TiledMap
 
 _COLLECTION = "collection.json"
+READERS = 16
+"""Threads that read files of drives."""
 _DRIVES, _ENDING = "drives/", ".json"
 
 
@@ -98,8 +101,9 @@ class Collection:
 
     def drives(self) -> tuple[Drive, ...]:
         """Return the drives, by name."""
-        keys = self.store.keys(_DRIVES)
-        return tuple(self._drive(key) for key in keys if key.endswith(_ENDING))
+        keys = [key for key in self.store.keys(_DRIVES) if key.endswith(_ENDING)]
+        with ThreadPoolExecutor(READERS) as pool:
+            return tuple(pool.map(self._drive, keys))
 
     def add(self, workspaces: Iterable[Path | str]) -> tuple[Drive, ...]:
         """Add workspaces as drives, and return these.

@@ -13,10 +13,11 @@ from equality import assert_same
 from semviz.collection.collection import Collection
 from semviz.runs.reader import load_run
 from semviz.workspace.workspace import Workspace
+from semviz_annotation.mapping.drives.merged_map import in_frame
 from semviz_core.base.elements import joined
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.base.pose import Pose
-from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.base.semantic_map import MapFrame, SemanticMap
 from semviz_core.map_tiles.manifest import file_key
 
 FRAMES = 12
@@ -134,6 +135,32 @@ def test_measured_fixes_say_what_is_around(
     for before, after in zip(expected.frames, found.frames, strict=True):
         assert_same(after.localization.T_camera_map, before.localization.T_camera_map)
         assert_same(after.localization.prior, before.localization.prior)
+
+
+def test_a_drive_in_a_frame_of_its_own_is_localized_by_georeferences(
+    street: Path, city: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The city's map has another origin and heading than the drive's poses."""
+    june, out = tmp_path / "june", (tmp_path / "one.rrd", tmp_path / "tiled.rrd")
+    shutil.copytree(street, june)
+    own = Workspace.open(june).read_map("main")
+    here = replace(own.frame, origin=(49.0005, 8.401, 100.0))
+    there = MapFrame("city", (49.0, 8.4, 100.0), 60.0)
+    save_map(in_frame(replace(own, frame=here), there, "june"), tmp_path / "city.parquet")
+    assert call(capsys, "collection", "publish", city, tmp_path / "city.parquet")[0] == 0
+    status, _, errors = call(capsys, "localize", june, "--collection", city)
+    assert status == 2
+    assert f"{june}: is in the frame street-5, not in city; give both a georeference" in errors
+    Workspace.open(june).keep_georeference(here)
+    assert call(capsys, "localize", june, "--out", out[0])[0] == 0
+    assert call(capsys, "localize", june, "--out", out[1], "--collection", city)[0] == 0
+    expected, found = map(load_run, out)
+    assert found.semantic_map.frame == here
+    for before, after in zip(expected.frames, found.frames, strict=True):
+        was, now = before.localization.T_camera_map, after.localization.T_camera_map
+        assert was is not None
+        assert now is not None
+        np.testing.assert_allclose(now.as_matrix(), was.as_matrix(), atol=1e-5)
 
 
 def test_what_cannot_be_done_is_one_line(

@@ -29,6 +29,15 @@ def test_a_file_is_written_once_and_stays(store: Store) -> None:
     assert store.read("drives/may.json") == b"first"
 
 
+def test_files_are_read_up_to_a_size(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store_module, "MOST_BYTES", 10)
+    for size in (0, 10, 11):
+        store.write_new(f"{size}", b"x" * size)
+    assert [len(store.read(key)) for key in ("0", "10")] == [0, 10]
+    with pytest.raises(SemvizError, match=r"11: more than .* MB"):
+        store.read("11")
+
+
 def test_files_on_disk_are_copied_whole(store: Store, tmp_path: Path) -> None:
     given, back = tmp_path / "given", tmp_path / "back"
     given.write_bytes(b"run")

@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Lock
 
 from semviz_core.common.errors import SemvizError
 
@@ -152,10 +153,14 @@ def check_replaceable(path: Path) -> None:
         raise SemvizError(f"{path}: a folder or a device, not a file; choose another name")
 
 
+_READING_UMASK = Lock()
+
+
 def _umask() -> int:
     """Return the process's umask, which can only be read by setting it."""
-    mask = os.umask(0o022)
-    os.umask(mask)
+    with _READING_UMASK:
+        mask = os.umask(0o022)
+        os.umask(mask)
     return mask
 
 

@@ -17,10 +17,12 @@ from typing import Any, TypeVar
 
 from semviz_core.common.errors import SemvizError, require_extra
 from semviz_core.common.files import create_file, replacing
-from semviz_core.common.limits import first_line, shown
+from semviz_core.common.limits import first_line, read_limited, shown
 
 Result = TypeVar("Result")
 S3 = "s3://"
+MOST_BYTES = 2**30
+"""Of a file that is read into memory."""
 CONFLICT_TRIES, CONFLICT_WAIT_S = 10, 0.3
 """S3 may refuse a new object while another process writes it: neither yes nor no."""
 
@@ -97,8 +99,9 @@ class FolderStore(Store):
                 raise SemvizError(f"{shown(self.where)}: no such folder")
 
     def read(self, key: str) -> bytes:
-        with self._reporting(key):
-            return self._path(key).read_bytes()
+        if not self.exists(key):
+            raise SemvizError(f"{shown(self._path(key))}: no such file")
+        return read_limited(self._path(key), MOST_BYTES)
 
     def fetch(self, key: str, path: Path) -> None:
         with replacing(path) as copy, self._reporting(key):
@@ -159,7 +162,10 @@ class ObjectStore(Store):
         self._asked("", lambda files: files.call_s3("head_bucket", Bucket=bucket))
 
     def read(self, key: str) -> bytes:
-        return bytes(self._asked(key, lambda files: files.cat_file(self._path(key))))
+        data = self._asked(key, lambda files: _start_of(files, self._path(key)))
+        if len(data) > MOST_BYTES:
+            raise SemvizError(f"{shown(self.where)}/{key}: more than {MOST_BYTES / 2**20:g} MB")
+        return data
 
     def fetch(self, key: str, path: Path) -> None:
         with replacing(path) as copy:
@@ -229,6 +235,16 @@ class ObjectStore(Store):
 
     def _path(self, key: str) -> str:
         return f"{self._root}/{_checked(key)}"
+
+
+def _start_of(files: Any, path: str) -> bytes:
+    """Return an object, or the first bytes of one that is too large."""
+    try:
+        return bytes(files.cat_file(path, start=0, end=MOST_BYTES + 1))
+    except OSError as error:
+        if _code(error) == "InvalidRange":  # it is empty
+            return b""
+        raise
 
 
 def _code(error: OSError) -> str:

@@ -1,6 +1,8 @@
 """Publish a version of a map in tiles: write the tiles that are new, then the manifest."""
 
+from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from uuid import uuid4
@@ -26,8 +28,13 @@ from semviz_core.map_tiles.manifest import (
 
 CELL_M = 200
 """Side of a cell: a crop of 120 m reads nine tiles at most, and few elements that it leaves out."""
+WRITERS = 8
+"""Threads that write tiles."""
 OnProgress = Callable[[str, int, int], None]
 """Is told what is done, how many parts of it, and of how many."""
+
+
+_NONE: IntArray = np.zeros(0, np.int64)
 
 
 def publish_map(
@@ -45,27 +52,14 @@ def publish_map(
     version = 1 if parent is None else parent + 1
     before = None if parent is None else read_manifest(store, parent)
     _check_new(store, version)
-    writer = _Writer(store, set())
-    cell_m = CELL_M
+    known, cell_m = set[str](), CELL_M
     if before is not None:
         _check_frame(store, before, semantic_map)
-        writer.known.update([before.head, *(tile.file for tile in before.tiles)])
-        cell_m = before.cell_m
+        known, cell_m = {before.head, *(tile.file for tile in before.tiles)}, before.cell_m
     cut = _Cut.of(semantic_map, cell_m)
-    tiles = []
-    for done, (cell, part) in enumerate(cut.parts(), 1):
-        file, size = writer.write(part)
-        on_progress("tiles", done, len(cut.cells))
-        tiles.append(
-            Tile(
-                cell=cell,
-                file=file,
-                bytes=size,
-                elements=len(part),
-                road_points=len(part.trajectory_m),
-            )
-        )
-    head, _ = writer.write(_only(semantic_map, np.zeros(0, int), np.zeros(0, int)))
+    with _Writer(store, known) as writer:
+        tiles = tuple(_written_tiles(cut, writer, on_progress))
+        head, _ = writer.write(_only(semantic_map, _NONE, _NONE))
     manifest = Manifest(
         map_version=version,
         parent=parent,
@@ -74,7 +68,7 @@ def publish_map(
         id=uuid4().hex,
         cell_m=cell_m,
         head=head,
-        tiles=tuple(tiles),
+        tiles=tiles,
         road=cut.stretches(),
     )
     key, content = manifest_key(version), manifest.model_dump_json().encode()
@@ -83,20 +77,48 @@ def publish_map(
     return manifest
 
 
-@dataclass(frozen=True)
+def _written_tiles(cut: "_Cut", writer: "_Writer", on_progress: OnProgress) -> Iterator[Tile]:
+    """Write the tiles of a map, and yield what the manifest says of them."""
+    for done, (cell, part) in enumerate(cut.parts(), 1):
+        file, size = writer.write(part)
+        points = len(part.trajectory_m)
+        yield Tile(cell=cell, file=file, bytes=size, elements=len(part), road_points=points)
+        on_progress("tiles", done, len(cut.cells))
+
+
 class _Writer:
-    store: Store
-    known: set[str]
-    """Digests of files that are in the store."""
+    """Writes files, several at once: each waits for the disk, or the network.
+
+    All are there when the context ends. It raises the first error.
+    """
+
+    def __init__(self, store: Store, known: set[str]) -> None:
+        self._store = store
+        self._known = known
+        """Digests of files that are in the store."""
+        self._pool = ThreadPoolExecutor(WRITERS)
+        self._waiting = deque[Future[bool]]()
 
     def write(self, part: SemanticMap) -> tuple[str, int]:
         """Write a map, unless it is there. Return its digest and size in bytes."""
         content = map_content(part)
         digest = digest_of(content)
-        if digest not in self.known:
-            self.store.write_new(file_key(digest), content)
-            self.known.add(digest)
+        if digest not in self._known:
+            self._known.add(digest)
+            key = file_key(digest)
+            self._waiting.append(self._pool.submit(self._store.write_new, key, content))
+        if len(self._waiting) > 2 * WRITERS:
+            self._waiting.popleft().result()
         return digest, len(content)
+
+    def __enter__(self) -> "_Writer":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._pool.shutdown(cancel_futures=kind is not None)
+        if kind is None:
+            for one in self._waiting:
+                one.result()
 
 
 @dataclass(frozen=True, eq=False)

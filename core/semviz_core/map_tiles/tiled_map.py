@@ -2,7 +2,8 @@
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from threading import Lock
@@ -25,6 +26,8 @@ from semviz_core.map_tiles.manifest import Manifest, read_file, read_manifest
 
 CACHE_BYTES = 256 * 2**20
 """Of the tiles that are kept in memory: about 700,000 elements."""
+READERS = 8
+"""Threads that read tiles for ``along`` and ``whole``."""
 _SLACK = 1e-9
 """Of the limits of a circle, relative and in metres: more than rounding."""
 
@@ -163,17 +166,16 @@ class TiledMap:
         rows = range(len(self.manifest.tiles))
         return self._united(rows, lambda points_m: np.ones(len(points_m), dtype=bool))
 
-    def _united(self, rows: Iterable[int], near: Callable[[FloatArray], BoolArray]) -> SemanticMap:
+    def _united(self, rows: Sequence[int], near: Callable[[FloatArray], BoolArray]) -> SemanticMap:
         """Return what is ``near`` of the maps of some tiles."""
         elements, road, places = [self.head.elements], [self.head.trajectory_m], [_NOWHERE]
         provenance: dict[int, Provenance] = {}
         attributes: dict[int, Mapping[str, str]] = {}
-        for row in rows:
-            tile = self._read(row, origins=True)
+        for row, tile in self._read_all(rows):
             kept, kept_road = near(tile.elements.anchor_m), near(tile.trajectory_m)
             elements.append(tile.elements[kept])
             road.append(tile.trajectory_m[kept_road])
-            places.append(self._road_places[row][kept_road])
+            places.append(self._road_places(row)[kept_road])
             provenance |= zip(tile.elements.id.tolist(), tile.provenance, strict=False)
             attributes |= tile.attributes
         found = joined(*elements)
@@ -188,6 +190,13 @@ class TiledMap:
             else (),
             attributes={id_: attributes[id_] for id_ in ids if id_ in attributes},
         )
+
+    def _read_all(self, rows: Sequence[int]) -> Iterator[tuple[int, SemanticMap]]:
+        """Yield tiles with all that they hold; from an object store, several are on their way."""
+        with ThreadPoolExecutor(READERS) as pool:
+            for some in (rows[at : at + READERS] for at in range(0, len(rows), READERS)):
+                tiles = pool.map(lambda row: self._read(row, origins=True), some)
+                yield from zip(some, tiles, strict=True)
 
     def _tiles_near(self, center: FloatArray, radius: float) -> Iterator[_ReadTile]:
         for row in self._rows_near(center, radius):
@@ -208,20 +217,28 @@ class TiledMap:
     def _read_tile(self, row: int) -> _ReadTile:
         tile = self._read(row, origins=False)
         first = first_in_cubes(tile.trajectory_m)
-        return _ReadTile(tile.elements, tile.trajectory_m[first], self._road_places[row][first])
+        return _ReadTile(tile.elements, tile.trajectory_m[first], self._road_places(row)[first])
 
     def _read(self, row: int, *, origins: bool) -> SemanticMap:
         tile = self.manifest.tiles[row]
         name = f"tile {tile.cell[0]},{tile.cell[1]} of map version {self.version}"
         return read_file(self.store, tile.file, name, origins=origins)
 
+    def _road_places(self, row: int) -> IntArray:
+        """Return the places of a tile's points in the map's trajectory."""
+        tile, start, count = self._stretches
+        low, high = np.searchsorted(tile, [row, row + 1])
+        starts, counts = start[low:high], count[low:high]
+        before = np.cumsum(counts) - counts
+        places: IntArray = np.arange(counts.sum()) + np.repeat(starts - before, counts)
+        return places
+
     @cached_property
-    def _road_places(self) -> list[IntArray]:
-        """The places of each tile's points in the map's trajectory."""
-        stretches = np.array(self.manifest.road, np.int64).reshape(-1, 2)
-        tile_of = np.repeat(stretches[:, 0], stretches[:, 1])
-        ends = np.cumsum([tile.road_points for tile in self.manifest.tiles])
-        return np.split(np.argsort(tile_of, kind="stable"), ends[:-1])
+    def _stretches(self) -> IntArray:
+        """(3, k): tile, place of the first point, and number of points of each stretch, by tile."""
+        tile, count = np.array(self.manifest.road, np.int64).reshape(-1, 2).T
+        by_tile = np.argsort(tile, kind="stable")
+        return np.stack([tile, np.cumsum(count) - count, count])[:, by_tile]
 
 
 _NOWHERE: IntArray = np.zeros(0, np.int64)
