@@ -27,8 +27,8 @@ ORDER = {
     ),
     ANNOTATION: ("labels", "storage", "mapping", "assist", "label_formats", "map_formats"),
     APP: (
-        "presentation", "runs", "web", "workspace", "reports", "collection", "what_if",
-        "annotator", "inspector", "research", "commands",
+        "presentation", "runs", "web", "workspace", "reports", "collection",
+        "batch", "what_if", "annotator", "inspector", "research", "commands",
     ),
 }  # fmt: skip
 RESEARCH = ("evaluation", "training", "paper", "pair_matcher")

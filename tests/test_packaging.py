@@ -272,6 +272,7 @@ def town(scripts: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("detect train --out new", "semviz detect train needs torch: pip install 'semviz[train]'"),
         ("train paper --out new", "semviz train needs torch: pip install 'semviz[train]'"),
         ("weights old --out new", "semviz weights needs torch: pip install 'semviz[train]'"),
+        ("batch detect city", "semviz batch needs ray: pip install 'semviz[ray]'"),
         ("collection create s3://a/new", "s3://a/new needs s3fs: pip install 'semviz[cloud]'"),
         ("benchmark --methods pycolmap --out new", "pycolmap: pip install 'semviz[peers]'"),
     ],

@@ -16,7 +16,7 @@ from typing import Any
 
 from semviz.batch.batch import Outcome
 from semviz.collection.collection import Drive
-from semviz_core.common.errors import SemvizError, require_extra
+from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import first_line
 
 MOST_WAITING = 1000
@@ -60,7 +60,6 @@ class Cluster:
     @contextmanager
     def _connected(self) -> Iterator[Any]:
         """Yield the module of Ray, connected. What it prints meanwhile is in its own logs, too."""
-        require_extra("semviz batch", "ray", "ray")
         settings = dict(_SETTINGS)
         if self.address and _has_token():
             settings["RAY_AUTH_MODE"] = "token"  # as 'ray start' does

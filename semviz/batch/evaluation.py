@@ -80,7 +80,7 @@ class Evaluation:
     def as_text(self) -> str:
         """Return the table of drives, then that over all frames."""
         cells = tuple(_cells(name, rows) for name, rows in self._by_drive())
-        header = ("drive", "most frequent fault", "frames", "ok", "RTE m", "<1 m", "sure and wrong")
+        header = ("drive", "most frequent fault", "frames", "ok", "RTE m", "<1 m", "overconfident")
         counts = ", ".join(f"{kind} {n}" for kind, n in self.rows.diagnoses.items())
         drives = Table("", header, cells, words=2).as_text()
         return f"{drives}\n\n{self.summary.as_text()}\ndiagnoses: {counts}"
@@ -117,5 +117,5 @@ def _cells(name: str, rows: FrameRows) -> tuple[str, ...]:
         percent(summary.by_status["ok"].frames / max(len(rows), 1)),
         figure(summary.accuracy.rte_m.q2),
         percent(summary.accuracy.share_below_1m),
-        str(rows.sure_and_wrong),
+        str(rows.overconfident),
     )

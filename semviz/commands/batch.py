@@ -6,17 +6,18 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import radians
+from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
-from tyro.conf import OmitArgPrefixes, Positional
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from semviz.commands import parsing
 from semviz.commands.detect import DetectCommand
 from semviz.commands.maps import MapBuildCommand
 from semviz.commands.runs import LocalizeCommand
-from semviz_core.common.errors import SemvizError
+from semviz_core.common.errors import SemvizError, require_extra
 
 if TYPE_CHECKING:
     from semviz.batch.batch import Batch, BatchCommand, Outcome
@@ -58,6 +59,7 @@ class ClusterOptions:
     def cluster(self) -> "Cluster":
         from semviz.batch.cluster import Cluster
 
+        require_extra("semviz batch", "ray", "ray")
         if not self.cpus > 0.0 or self.gpus < 0.0:
             raise SemvizError("--cpus must be more than 0, --gpus 0 or more")
         return Cluster(self.ray, self.cpus, self.gpus)
@@ -67,9 +69,9 @@ class ClusterOptions:
 class _DriveCommand:
     """A command for each drive of a collection."""
 
-    collection: Positional[str]
+    collection: Annotated[Positional[str], arg(metavar="COLLECTION")]
     """Folder or URL of the collection."""
-    options: Positional[tuple[str, ...]] = ()
+    options: Annotated[Positional[tuple[str, ...]], arg(metavar="OPTION")] = ()
     """After '--': options of the command for each drive. {drive} stands for its name, {workspace}
     for its folder."""
     name: parsing.OptionalText = None
@@ -78,27 +80,29 @@ class _DriveCommand:
     json: bool = False
     """Print one JSON object instead of text."""
 
-    def _run_batch(
-        self, command: "BatchCommand", version_of: "Callable[[Collection], int | None]"
-    ) -> "tuple[Batch, list[Outcome]]":
+    def _run_batch(self, command: "BatchCommand") -> "tuple[Batch, list[Outcome]]":
         """Run the command for all drives that are not done. Return what came of each."""
         from semviz.batch.batch import Batch, Plan
         from semviz.batch.work import Work
         from semviz.collection.collection import Collection
 
+        cluster = self.cluster.cluster()
         collection = Collection.open(self.collection)
         drives = collection.drives()
         self._check_options(command, drives)
         name = self.name or command
-        begun = Batch.find(collection, name)
-        version = begun.plan.map_version if begun else version_of(collection)
+        version = self._map_version(collection, Batch.find(collection, name))
         batch = Batch.begin(collection, name, Plan(command, self.options, version))
-        work = Work(self.collection, name, run_command)
+        work = Work(_absolute(self.collection), name, run_command)
         done = {outcome.drive: outcome for outcome in batch.done_before()}
         left = [drive for drive in drives if drive.name not in done]
-        outcomes = _outcomes(self.cluster.cluster(), work, left, command)
+        outcomes = _outcomes(cluster, work, left, command)
         given = [done[drive.name] for drive in drives if drive.name in done]
         return batch, [*given, *outcomes]
+
+    def _map_version(self, collection: "Collection", begun: "Batch | None") -> int | None:
+        """Return the version of the collection's map that the command uses, if it uses one."""
+        return None
 
     def _check_options(self, command: "BatchCommand", drives: "tuple[Drive, ...]") -> None:
         """Parse the options for the first drive: what is wrong with them is wrong for all."""
@@ -110,6 +114,11 @@ class _DriveCommand:
         for option in ("--json", "--out"):
             if option in self.options:
                 raise SemvizError(f"{option} is the batch's own; leave it out")
+
+
+def _absolute(where: str) -> str:
+    """Return the place of a collection for processes that work in other folders."""
+    return where if "://" in where else str(Path(where).absolute())
 
 
 def _outcomes(
@@ -140,7 +149,7 @@ class BatchDetectCommand(_DriveCommand):
 
     def run(self) -> int:
         started_s = perf_counter()
-        batch, outcomes = self._run_batch("detect", lambda _: None)
+        batch, outcomes = self._run_batch("detect")
         totals = {
             name: sum(outcome.printed[name] for outcome in outcomes if not outcome.failure)
             for name in ("images", "proposals")
@@ -161,7 +170,7 @@ class BatchLocalizeCommand(_DriveCommand):
 
     def run(self) -> int:
         started_s = perf_counter()
-        batch, outcomes = self._run_batch("localize", self._version)
+        batch, outcomes = self._run_batch("localize")
         status: Counter[str] = Counter()
         for outcome in outcomes:
             status.update(outcome.printed.get("status", {}))
@@ -172,11 +181,13 @@ class BatchLocalizeCommand(_DriveCommand):
             print(f"next: semviz batch evaluate {self.collection} --name {batch.name}")
         return exit_status
 
-    def _version(self, collection: "Collection") -> int | None:
+    def _map_version(self, collection: "Collection", begun: "Batch | None") -> int | None:
         from semviz_core.map_tiles.manifest import versions
 
         if {"--map", "--collection"} & set(self.options):
             return None
+        if self.map_version is None and begun is not None:
+            return begun.plan.map_version
         return self.map_version or max(versions(collection.store), default=None)
 
 
@@ -203,7 +214,7 @@ class BatchMapCommand(_DriveCommand):
 
         started_s = perf_counter()
         errors = PoseErrors(self.pose_sigma_m, radians(self.pose_sigma_deg))
-        batch, outcomes = self._run_batch("map", lambda _: None)
+        batch, outcomes = self._run_batch("map")
         said, totals = "not merged: all must be done, or add --partial", dict[str, Any]()
         if self.partial or not any(outcome.failure for outcome in outcomes):
             with Steps() as steps:
@@ -219,7 +230,7 @@ class BatchEvaluateCommand:
 
     Example: 'semviz batch evaluate city --frames frames.parquet'."""
 
-    collection: Positional[str]
+    collection: Annotated[Positional[str], arg(metavar="COLLECTION")]
     """Folder or URL of the collection."""
     name: str = "localize"
     """Name of the batch."""
@@ -238,14 +249,15 @@ class BatchEvaluateCommand:
 
         if self.frames is not None:
             check_outputs(self.frames, PARQUET, force=self.force)
+        cluster = self.cluster.cluster()
         collection = Collection.open(self.collection)
         batch = Batch.open(collection, self.name)
         runs, done = batch.drives_with("runs"), set(batch.drives_with("frames"))
         if not runs:
             raise SemvizError(f"batch {self.name} has no runs; only those of localize have")
         drives = [Drive(name, "") for name in runs if name not in done]
-        work = Tabulate(self.collection, self.name)
-        outcomes = _outcomes(self.cluster.cluster(), work, drives, "evaluating")
+        work = Tabulate(_absolute(self.collection), self.name)
+        outcomes = _outcomes(cluster, work, drives, "evaluating")
         evaluation = Evaluation.of(batch)
         if self.frames is not None:
             evaluation.save(self.frames)

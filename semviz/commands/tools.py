@@ -102,7 +102,7 @@ class ServeCommand:
     Examples: 'semviz serve' (the demo); 'semviz serve town'."""
 
     paths: Positional[tuple[Path, ...]] = ()
-    """Workspaces or runs (.rrd); default: the built-in demo."""
+    """Workspaces, runs (.rrd), or folders of runs; default: the built-in demo."""
     host: str = "127.0.0.1"
     """Address to listen on; 127.0.0.1 is this machine, 0.0.0.0 all machines."""
     port: int = 8080
@@ -129,11 +129,13 @@ class ServeCommand:
 
 
 def find_runs(paths: Iterable[Path]) -> tuple[Path, ...]:
-    """Return the runs in ``paths``: .rrd files, and all runs of workspaces, oldest first.
+    """Return the runs in ``paths``: .rrd files, all runs of workspaces, oldest first, and those in
+    folders that are no workspaces, by name.
 
-    Raise SemvizError if a path is neither, or a workspace has no runs.
+    Raise SemvizError if a path is nothing of that, or a workspace has no runs.
     """
     from semviz.runs.reader import check_run_file
+    from semviz.workspace.settings import SETTINGS
     from semviz.workspace.workspace import Workspace
 
     runs: list[Path] = []
@@ -141,6 +143,8 @@ def find_runs(paths: Iterable[Path]) -> tuple[Path, ...]:
         if path.is_file() or path.suffix == ".rrd":
             check_run_file(path)
             runs.append(path)
+        elif not (path / SETTINGS).is_file() and (found := sorted(path.glob("*.rrd"))):
+            runs += (run for run in found if not run.name.startswith("."))
         else:
             workspace = Workspace.open(path)
             if not workspace.runs():

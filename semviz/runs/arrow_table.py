@@ -33,7 +33,7 @@ def arrow_table(table: FrameTable, run: str) -> Any:
             "reason": _texts(table.reason, table.texts),
             "diagnosis": _texts(table.diagnosis, table.texts),
             "noticed": _texts(table.noticed, table.texts),
-            "sure_and_wrong": table.is_overconfident,
+            "overconfident": table.is_overconfident,
             **_positions("", table.estimate_m),
             **_positions("true_", table.truth_m),
             **_positions("prior_", table.prior_m),
@@ -71,9 +71,9 @@ class FrameRows:
         return FrameFigures(status, errors, has_truth, self._numbers("time_ms"))
 
     @property
-    def sure_and_wrong(self) -> int:
+    def overconfident(self) -> int:
         """Number of frames whose status is ok, but whose pose is more than 1 m off."""
-        return int(np.asarray(self.table["sure_and_wrong"]).sum())
+        return int(np.asarray(self.table["overconfident"]).sum())
 
     @property
     def diagnoses(self) -> dict[str, int]:

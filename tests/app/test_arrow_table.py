@@ -20,7 +20,7 @@ def test_rows_of_two_runs_are_those_of_one(tmp_path: Path) -> None:
     rows = stored(tmp_path, *parts)
     assert rows.figures.summary().as_text() == summarize_run(whole).as_text()
     assert rows.diagnoses == found_diagnoses(whole)
-    assert rows.sure_and_wrong / len(rows) == metrics_of(whole)["share_sure_and_wrong"]
+    assert rows.overconfident / len(rows) == metrics_of(whole)["share_sure_and_wrong"]
     first = rows.of_run("part0")
     assert first.figures.summary().as_text() == summarize_run(parts[0]).as_text()
 

@@ -1,5 +1,7 @@
 """A batch counts what is done once, whatever dies and whoever does it too."""
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +11,8 @@ from slow_drives import slow_command
 from semviz.batch.batch import Batch, BatchCommand, Outcome, Plan
 from semviz.batch.work import Work
 from semviz.collection.collection import Collection, Drive
+from semviz.commands.batch import run_command
+from semviz.workspace.workspace import Workspace
 from semviz_core.common.errors import SemvizError
 
 
@@ -111,3 +115,30 @@ def test_a_damaged_plan_is_named(collection: Collection) -> None:
     collection.store.write_new("batches/june/plan.json", b"{")
     with pytest.raises(SemvizError, match=r"batches/june/plan.json: no plan of a batch"):
         Batch.open(collection, "june")
+
+
+ON_A_FULL_DISK = """
+import resource, sys
+from semviz.batch.work import Work
+from semviz.collection.collection import Collection
+from semviz.commands.batch import run_command
+resource.setrlimit(resource.RLIMIT_FSIZE, (200_000,) * 2)
+(drive,) = Collection.open(sys.argv[1]).drives()
+print(Work(sys.argv[1], "june", run_command)(drive).failure)
+"""
+
+
+def test_a_full_disk_loses_nothing(tmp_path: Path) -> None:
+    Workspace.create_street(tmp_path / "may", seed=5, frames=range(6))
+    collection = Collection.create(tmp_path / "city", [tmp_path / "may"])
+    batch = Batch.begin(
+        collection, "june", Plan("localize", ("--observations", "simulated", "--map", "truth"))
+    )
+    command = [sys.executable, "-c", ON_A_FULL_DISK, collection.where]
+    failure = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "may.partial.rrd: cannot be written" in failure
+    assert "is the disk full?" in failure
+    assert batch.drives_with("runs") == [one.drive for one in batch.done_before()] == []
+    (drive,) = collection.drives()
+    assert not Work(collection.where, "june", run_command)(drive).failure
+    assert batch.drives_with("runs") == ["may"]

@@ -250,6 +250,7 @@ def test_runs_are_found_in_workspaces_and_as_files(town: Workspace, tmp_path: Pa
     found = find_runs([single, town.path])
     assert found[0] == single
     assert set(found[1:]) == set(paths)
+    assert find_runs([town.path / "runs"]) == tuple(town.run_path(name) for name in ("a", "b"))
     with pytest.raises(SemvizError, match="no such run"):
         find_runs([tmp_path / "none.rrd"])
 
