@@ -170,13 +170,13 @@ class _Thrift:
         self.place += count
 
     def _varint(self) -> int:
-        value = 0
-        for shift in range(0, 70, 7):
-            byte = self._byte()
+        data, place, value = self._data, self.place, 0
+        for shift, byte in zip(range(0, 70, 7), data[place : place + 10], strict=False):
             value |= (byte & 0x7F) << shift
             if byte < 0x80:
+                self.place = place + shift // 7 + 1
                 return value
-        raise ValueError("a number of more than 64 bits")
+        raise ValueError("a number of more than 64 bits, or cut off")
 
     def _zigzag(self) -> int:
         value = self._varint()
@@ -448,12 +448,12 @@ def open_parquet(
     if max((column.values for column in columns), default=0) > most_values:
         raise SemvizError(f"{name}: more than {most_values} values in a column; not read")
     source = pa.BufferReader(content) if isinstance(content, bytes) else content
-    metadata = pq.read_metadata(source)
-    schema = metadata.schema
-    paths = {column.path for column in map(schema.column, range(len(schema)))}
+    if dictionaries:
+        schema = pq.read_metadata(source).schema
+        paths = {column.path for column in map(schema.column, range(len(schema)))}
+        dictionaries = tuple(path for path in dictionaries if path in paths)
     return pq.ParquetFile(
         source,
-        metadata=metadata,
-        read_dictionary=[path for path in dictionaries if path in paths],
+        read_dictionary=dictionaries,
         page_checksum_verification=True,
     )
