@@ -29,6 +29,8 @@ from semviz_core.map_tiles.publish import publish_map
 from semviz_core.map_tiles.tiled_map import TiledMap
 
 BLOCK_M, APART_M = 150.0, 20.0
+FEW_BYTES = 400_000
+"""Of the cache where tiles are to be cold: the tiles of one place."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,7 @@ def measure(store: Store, one_path: Path, places: FloatArray, radius_m: float) -
     timed("warm, tiles", [tiles] * len(places), places, radius_m, warm=True)
     print(f"  in memory then {tiles.cache_bytes / 1e6:.0f} MB")
     few = places[: len(places) // 3]
-    reading = TiledMap.open(store, 1, cache_bytes=1)
+    reading = TiledMap.open(store, 1, cache_bytes=FEW_BYTES)
     timed("cold, tiles", [reading] * len(few), few, radius_m)
     drop(store)
     timed("from disk, tiles", [reading] * len(few), few, radius_m)
@@ -144,7 +146,7 @@ def timed(
 
 def print_load(what: str, start_s: float, before_mb: float) -> None:
     took_s, takes_mb = time.process_time() - start_s, resident_mb() - before_mb
-    print(f"{what:<18}CPU {took_s * 1e3:.0f} ms, {takes_mb:.0f} MB")
+    print(f"{what:<20}CPU {took_s * 1e3:.0f} ms, {takes_mb:.0f} MB")
 
 
 def print_times(what: str, cpu: list[float], wall: list[float], note: str = "") -> None:
@@ -152,7 +154,7 @@ def print_times(what: str, cpu: list[float], wall: list[float], note: str = "") 
         f"{name} median {np.median(times) * 1e3:.2f}, p95 {np.percentile(times, 95) * 1e3:.2f} ms"
         for name, times in (("CPU", cpu), ("wall", wall))
     )
-    print(f"{what:<18}{text}  {note}")
+    print(f"{what:<20}{text}  {note}")
 
 
 def drop(store: Store) -> None:

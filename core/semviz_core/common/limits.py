@@ -41,6 +41,7 @@ _MOST_HEADER_BYTES = 2**24
 _BINARY, _LIST, _SET, _STRUCT = 8, 9, 10, 12
 Struct = dict[int, Any]
 """Values by field id."""
+Names = tuple[str, ...]
 
 
 class Unpacked(NamedTuple):
@@ -424,18 +425,13 @@ def _decoded(data: bytes, where: object, flags: int) -> Any:
 
 
 def open_parquet(
-    content: Path | bytes,
-    most_bytes: int,
-    most_values: int,
-    dictionaries: tuple[str, ...] = (),
-    name: object = "",
+    content: Path | bytes, most_bytes: int, most_values: int, texts: Names = (), name: object = ""
 ) -> "ParquetFile":
     """Open a Parquet file, or its content, that takes at most ``most_bytes``, packed and unpacked.
 
     No column may have more than ``most_values`` values, which a few bytes can repeat. Texts at the
-    paths ``dictionaries`` are read without copies of repeated ones. Pages with a checksum are
-    compared with it. Raise SemvizError for others, which names
-    the file or ``name``, and pyarrow's errors for damaged ones.
+    paths ``texts`` are read without copies of repeated ones. Pages with a checksum are compared
+    with it. Raise SemvizError for others, with ``name``, and pyarrow's errors for damaged ones.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -448,12 +444,7 @@ def open_parquet(
     if max((column.values for column in columns), default=0) > most_values:
         raise SemvizError(f"{name}: more than {most_values} values in a column; not read")
     source = pa.BufferReader(content) if isinstance(content, bytes) else content
-    if dictionaries:
+    if texts:
         schema = pq.read_metadata(source).schema
-        paths = {column.path for column in map(schema.column, range(len(schema)))}
-        dictionaries = tuple(path for path in dictionaries if path in paths)
-    return pq.ParquetFile(
-        source,
-        read_dictionary=dictionaries,
-        page_checksum_verification=True,
-    )
+        texts = tuple({schema.column(k).path for k in range(len(schema))}.intersection(texts))
+    return pq.ParquetFile(source, read_dictionary=texts, page_checksum_verification=True)
