@@ -200,5 +200,5 @@ def _described(manifest: "Manifest") -> dict[str, Any]:
 def _map_line(told: Mapping[str, Any]) -> str:
     return (
         f"map version {told['version']} by {told['by']}, {told['published']}: {told['elements']} "
-        f"elements in {told['tiles']} tiles, {told['bytes'] / 2**20:.1f} MB"
+        f"elements in {told['tiles']} tiles, {told['bytes'] / 1e3:,.0f} kB"
     )

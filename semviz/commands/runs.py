@@ -17,11 +17,8 @@ from semviz_core.common.errors import SemvizError
 if TYPE_CHECKING:
     from semviz.runs.run import Run
     from semviz.runs.tables import Row
-    from semviz.workspace.measurements import MeasurementFiles
-    from semviz.workspace.workspace import Workspace
     from semviz_annotation.map_formats.conversion import ConversionTally
     from semviz_core.base.frame import Frame
-    from semviz_core.base.semantic_map import SemanticMap
     from semviz_core.metrics.pose_errors import Summary
 
 
@@ -88,9 +85,15 @@ class LocalizeCommand:
     """Print one JSON object instead of lines: the run's file, and frames by status."""
 
     def run(self) -> int:
+        from semviz.collection.collection import Collection
+        from semviz.collection.drive_map import map_along_drive
         from semviz.runs.run import TRACK
         from semviz.workspace import localize, outputs
 
+        if self.collection is None and self.map_version is not None:
+            raise SemvizError("--map-version is for maps of collections; add --collection")
+        if self.collection is not None and self.map != "main":
+            raise SemvizError("--map is for maps of the workspace; leave out --map or --collection")
         workspace = parsing.open_workspace(self.workspace)
         observations = self.observations or workspace.default_observations
         if self.calibration is not None and observations != "detected":
@@ -133,7 +136,12 @@ class LocalizeCommand:
         )
         chosen = localize.select_frames(workspace.source, frames, self.camera)
         files = given.files(self.heading_sigma_deg)
-        semantic_map, map_name = self._map(workspace, chosen, crop_radius, files)
+        if self.collection is None:
+            semantic_map, map_name = workspace.read_map(self.map), self.map
+        else:
+            tiles = Collection.open(self.collection).tiled_map(self.map_version)
+            semantic_map = map_along_drive(tiles, workspace, chosen, crop_radius, files)
+            map_name = f"{Path(self.collection).name} version {tiles.version}"
         measured = files.read(workspace, semantic_map)
         localization = localize.localize_workspace(
             workspace, semantic_map, options, frames, calibration, measured, self.camera, self.jobs
@@ -159,27 +167,6 @@ class LocalizeCommand:
         )
         print_run(path, counts, self.json)
         return 0
-
-    def _map(
-        self,
-        workspace: "Workspace",
-        frames: "Sequence[Frame]",
-        crop_radius_m: float,
-        files: "MeasurementFiles",
-    ) -> "tuple[SemanticMap, str]":
-        """Return the map to localize in, and its name."""
-        from semviz.collection.collection import Collection
-        from semviz.collection.drive_map import map_along_drive
-
-        if self.collection is None:
-            if self.map_version is not None:
-                raise SemvizError("--map-version is for maps of collections; add --collection")
-            return workspace.read_map(self.map), self.map
-        if self.map != "main":
-            raise SemvizError("--map is for maps of the workspace; leave out --map or --collection")
-        tiles = Collection.open(self.collection).tiled_map(self.map_version)
-        found = map_along_drive(tiles, workspace, frames, crop_radius_m, files)
-        return found, f"{Path(self.collection).name} version {tiles.version}"
 
 
 def print_run(path: Path, counts: Mapping[str, int], as_json: bool) -> None:

@@ -31,7 +31,6 @@ VERSION, OLDER_VERSION = 3, 2
 would take any triangle's middle for that of its box, refuse those of version 3."""
 CHECKSUM = "crc32"
 """Key of the metadata; missing in maps of earlier versions of semviz, which are not checked."""
-_PACKING = "zstd"
 _VECTORS = {"anchor_m": 3, "end_m": 3, "covariance_m2": 36}
 _PLACES = ["id", "class_id", "anchor_known", "end_known", *_VECTORS]
 """Columns that localization needs."""
@@ -41,6 +40,12 @@ _ORIGINS = {
     "attributes": "attributes.list.element",
 }
 """Columns of texts, and their paths in the file."""
+_WRITING: dict[str, Any] = {
+    "compression": "zstd",
+    "use_dictionary": list(_ORIGINS.values()),
+    "write_statistics": False,
+}
+"""Numbers are hardly ever repeated, and nobody asks a map for its smallest ones."""
 _ATTRIBUTES = "attributes"
 """Optional column: texts such as ``material=steel``; a name has no ``=``."""
 _LOG_ODDS = "existence_log_odds"
@@ -59,7 +64,7 @@ def save_map(semantic_map: SemanticMap, path: Path | str) -> None:
 
     table = _table(semantic_map)
     with replacing(Path(path)) as temporary:
-        pq.write_table(table, temporary, compression=_PACKING)
+        pq.write_table(table, temporary, **_WRITING)
 
 
 def map_content(semantic_map: SemanticMap) -> bytes:
@@ -67,7 +72,7 @@ def map_content(semantic_map: SemanticMap) -> bytes:
     import pyarrow.parquet as pq
 
     content = io.BytesIO()
-    pq.write_table(_table(semantic_map), content, compression=_PACKING)
+    pq.write_table(_table(semantic_map), content, **_WRITING)
     return content.getvalue()
 
 
@@ -122,7 +127,8 @@ def _parsed(content: Path | bytes, path: Path | str, *, origins: bool = True) ->
     import pyarrow as pa
 
     try:
-        file = open_parquet(content, MOST_BYTES, MOST_VALUES, tuple(_ORIGINS.values()), path)
+        texts = tuple(_ORIGINS.values()) if origins else ()
+        file = open_parquet(content, MOST_BYTES, MOST_VALUES, texts, path)
         table = file.read() if origins else file.read(_PLACES, use_threads=False)
     except pa.ArrowInvalid as error:  # whole, but its columns are not those of a map
         raise SemvizError(f"{path}: broken map ({first_line(error)}); rebuild it") from None

@@ -41,6 +41,7 @@ _MOST_HEADER_BYTES = 2**24
 _BINARY, _LIST, _SET, _STRUCT = 8, 9, 10, 12
 Struct = dict[int, Any]
 """Values by field id."""
+Names = tuple[str, ...]
 
 
 class Unpacked(NamedTuple):
@@ -170,13 +171,13 @@ class _Thrift:
         self.place += count
 
     def _varint(self) -> int:
-        value = 0
-        for shift in range(0, 70, 7):
-            byte = self._byte()
+        data, place, value = self._data, self.place, 0
+        for shift, byte in zip(range(0, 70, 7), data[place : place + 10], strict=False):
             value |= (byte & 0x7F) << shift
             if byte < 0x80:
+                self.place = place + shift // 7 + 1
                 return value
-        raise ValueError("a number of more than 64 bits")
+        raise ValueError("a number of more than 64 bits, or cut off")
 
     def _zigzag(self) -> int:
         value = self._varint()
@@ -424,18 +425,13 @@ def _decoded(data: bytes, where: object, flags: int) -> Any:
 
 
 def open_parquet(
-    content: Path | bytes,
-    most_bytes: int,
-    most_values: int,
-    dictionaries: tuple[str, ...] = (),
-    name: object = "",
+    content: Path | bytes, most_bytes: int, most_values: int, texts: Names = (), name: object = ""
 ) -> "ParquetFile":
     """Open a Parquet file, or its content, that takes at most ``most_bytes``, packed and unpacked.
 
     No column may have more than ``most_values`` values, which a few bytes can repeat. Texts at the
-    paths ``dictionaries`` are read without copies of repeated ones. Pages with a checksum are
-    compared with it. Raise SemvizError for others, which names
-    the file or ``name``, and pyarrow's errors for damaged ones.
+    paths ``texts`` are read without copies of repeated ones. Pages with a checksum are compared
+    with it. Raise SemvizError for others, with ``name``, and pyarrow's errors for damaged ones.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -448,12 +444,7 @@ def open_parquet(
     if max((column.values for column in columns), default=0) > most_values:
         raise SemvizError(f"{name}: more than {most_values} values in a column; not read")
     source = pa.BufferReader(content) if isinstance(content, bytes) else content
-    metadata = pq.read_metadata(source)
-    schema = metadata.schema
-    paths = {column.path for column in map(schema.column, range(len(schema)))}
-    return pq.ParquetFile(
-        source,
-        metadata=metadata,
-        read_dictionary=[path for path in dictionaries if path in paths],
-        page_checksum_verification=True,
-    )
+    if texts:
+        schema = pq.read_metadata(source).schema
+        texts = tuple({schema.column(k).path for k in range(len(schema))}.intersection(texts))
+    return pq.ParquetFile(source, read_dictionary=texts, page_checksum_verification=True)

@@ -5,7 +5,6 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
 from threading import Lock
 
 import numpy as np
@@ -86,6 +85,7 @@ class TiledMap:
         self.head = head
         """The map without its elements and its trajectory."""
         self._cache = _Cache(cache)
+        self._stretches = _stretches_of(manifest)
         self._row_of = {tile.cell: row for row, tile in enumerate(manifest.tiles)}
 
     @classmethod
@@ -233,12 +233,13 @@ class TiledMap:
         places: IntArray = np.arange(counts.sum()) + np.repeat(starts - before, counts)
         return places
 
-    @cached_property
-    def _stretches(self) -> IntArray:
-        """(3, k): tile, place of the first point, and number of points of each stretch, by tile."""
-        tile, count = np.array(self.manifest.road, np.int64).reshape(-1, 2).T
-        by_tile = np.argsort(tile, kind="stable")
-        return np.stack([tile, np.cumsum(count) - count, count])[:, by_tile]
+
+def _stretches_of(manifest: Manifest) -> IntArray:
+    """Return (3, k): tile, place of the first point, and number of points of each stretch of the
+    trajectory, by tile."""
+    tile, count = np.array(manifest.road, np.int64).reshape(-1, 2).T
+    by_tile = np.argsort(tile, kind="stable")
+    return np.stack([tile, np.cumsum(count) - count, count])[:, by_tile]
 
 
 _NOWHERE: IntArray = np.zeros(0, np.int64)
