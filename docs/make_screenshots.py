@@ -64,6 +64,7 @@ COMPARED_FRAMES = range(100, 112)
 LABELLED_FRAMES = range(3)
 BY_COMMANDS = {
     "benchmark-bound.png": "semviz benchmark",
+    "benchmark-ok-tradeoff.png": "bench/ok_tradeoff.py --plot",
     "benchmark-cumulative.png": "semviz benchmark",
     "paper-20m-histogram.png": "semviz benchmark --suite paper-20m",
     "detector-calibration.png": "bench/subpixel.py --planted --plot",
