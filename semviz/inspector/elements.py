@@ -185,8 +185,10 @@ def _evidence(fault: Fault) -> tuple[tuple[str, str], ...]:
 
 
 def evidence_text(item: EvidenceItem) -> str:
-    """Return the value with its unit."""
-    decimals = {"m": 2, "%": 1, "deg": 1}.get(item.unit, 0)
+    """Return the value with its unit, ``0.6 deg per step``; a ratio has a decimal, a count none."""
+    decimals = {"m": 2, "%": 1, "deg": 1, "": 1}.get(item.unit.partition(" ")[0], 0)
+    if not item.unit and item.value == round(item.value):
+        decimals = 0
     return f"{item.value:.{decimals}f} {item.unit}".strip()
 
 

@@ -114,6 +114,8 @@ def test_evidence_has_as_many_decimals_as_it_is_worth() -> None:
     assert evidence_text(EvidenceItem("off", 101.31, "px")) == "101 px"
     assert evidence_text(EvidenceItem("off", 1.141, "m")) == "1.14 m"
     assert evidence_text(EvidenceItem("frames", 9)) == "9"
+    assert evidence_text(EvidenceItem("true over stated sigma", 4.42)) == "4.4"
+    assert evidence_text(EvidenceItem("yaw", 0.61, "deg per step")) == "0.6 deg per step"
 
 
 def test_an_element_is_shown_where_it_is_furthest_off_or_else_in_the_middle() -> None:

@@ -40,6 +40,8 @@ LEAST_FIRST = 0.5
 """Below this share of true pairs among the pairs ranked first, the matches are wrong."""
 MISSED_NATS = 3.0
 """The true pose was missed if its score exceeds the best score found by more."""
+LEAST_GAIN_NATS = 0.05
+"""A smaller gain or loss is none."""
 MUCH_CLUTTER = 0.5
 """Share of faulty rows that is harmful even if none of them is among the inliers."""
 UNMATCHED: FaultKind = "false or not mapped"
@@ -169,10 +171,16 @@ def check_search(case: FrameReference) -> Fault | None:
         sentence = f"The search missed the true pose, which scores {truth:.0f} nats"
         worse = f"; the best pose it found scores {best:.0f}." if len(search.score) else "."
         return Fault("search miss", sentence + worse, evidence)
-    sentence = (
-        f"Another pose explains the image better than the true one, by {best - truth:.1f} nats."
-    )
-    return Fault("ambiguous geometry", sentence, evidence)
+    return Fault("ambiguous geometry", _compared(best - truth), evidence)
+
+
+def _compared(gain: float) -> str:
+    """Return how another pose compares with the true one; ``gain`` in nats."""
+    if abs(gain) < LEAST_GAIN_NATS:
+        return "Another pose explains the image as well as the true one."
+    if gain > 0.0:
+        return f"Another pose explains the image better than the true one, by {gain:.1f} nats."
+    return f"Another pose explains the image almost as well as the true one: {-gain:.1f} nats less."
 
 
 def _found_with_more_effort(case: FrameReference) -> Fault | None:

@@ -127,14 +127,14 @@ export class ElementList {
 
   fill() {
     const { findings } = this;
+    this.shown = this.columns();
     const progress = el("p", { class: "dim", text: `Diagnosing the run: ${this.progress}` });
     byId("run-diagnosis").replaceChildren(...(findings ? this.faults(findings) : [progress]));
     byId("element-classes").replaceChildren(...(findings ? this.chips(findings.rows) : []));
     byId("element-findings").replaceChildren(...(findings ? [this.findingChoice(findings.rows)] : []));
     const { classList } = byId("elements-page");
-    for (const name of ["sure", "duplicate"]) classList.toggle(`has-${name}`, this.columns().some((column) => column.name === name));
+    for (const name of ["sure", "duplicate"]) classList.toggle(`has-${name}`, this.shown.some((column) => column.name === name));
     byId("element-head").replaceChildren(...(findings ? this.head() : []));
-    this.shown = this.columns();
     this.listed = findings ? this.sorted(findings.rows) : [];
     this.rowList.show(this.listed.length);
     this.mark();
@@ -217,7 +217,7 @@ export class ElementList {
   }
 
   head() {
-    return this.columns().map(({ name, text, title }) => el("button", {
+    return this.shown.map(({ name, text, title }) => el("button", {
       class: name, title: `${title}. Click to sort`, "aria-pressed": this.sort === name, text, onclick: () => this.show({ sort: name }) }));
   }
 

@@ -88,7 +88,7 @@ export class Story {
   /** @param {StoryView} found */
   fillCauses({ causes, harmless, overconfident }) {
     const none = el("li", { class: "none dim", text: "Every frame is right." });
-    const also = harmless.length ? [el("li", { class: "none dim", text: "Also found, without a wrong frame of its own:" })] : [];
+    const also = harmless.length ? [el("li", { class: "also", text: "Also found, without a wrong frame of its own:" })] : [];
     fill(byId("story-causes"), [
       ...(causes.length ? causes.map((cause) => this.entry(cause, cause.frames.length.toLocaleString("en"))) : [none]),
       ...also, ...harmless.map((cause) => this.entry(cause, "")),
