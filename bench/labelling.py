@@ -10,8 +10,10 @@ The script labels every pole and sign up to 40 m ahead that is visible in both i
 street's truth. Its clicks have an error of 1.5 CSS pixels, at the zoom that shows the whole image,
 with snapping on. It accepts a proposal if both marks are right, rejects it otherwise, and draws
 elements without a proposal. Every fifth frame is labelled first; the frames between follow in the
-filmstrip, where it leaves out or drags what is wrong. The page counts inputs: a key, a click or a
-turn of the wheel is one, a drag two. At the end every label is compared with the truth.
+filmstrip, where it leaves out or drags what is wrong. It presses a class key only where the page
+would draw another class, and after zooming in looks for the whole pole again. The page counts
+inputs: a key, a click or a turn of the wheel is one, a drag two. At the end every label is
+compared with the truth.
 
 Times are those of the keystroke-level model (Card, Moran & Newell 1980) with its own constants, for
 an average typist: a key 0.28 s, a click 0.2 s, pointing 1.1 s, and a thought of 1.35 s before each

@@ -49,7 +49,7 @@ def random_edit(labels: Labels, rng: np.random.Generator) -> Edit:
     why = ("rejected", "occluded", "absent")[rng.integers(3)]
     down = Dismissal(proposal_id(a, frame, side), frame, side, why, a)
     choices: list[Edit] = [
-        new,
+        *[new] * 3,  # of empty labels most other edits are refused
         AddMany((new, more)),
         AddObservation(new_id(), a, frame, side, point, other),
         AddObservation(new_id(), a, frame, side, point),

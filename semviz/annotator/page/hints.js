@@ -76,6 +76,7 @@ function forProposal(state, proposal) {
   const second = proposal.marks.left?.runner_up ?? proposal.marks.right?.runner_up;
   return [
     hint(`accept ${proposal.name}`, "Space"),
+    ...(confident > 1 || found > 1 ? [] : backToStrip(state)),
     ...(confident > 1 ? [hint(`accept ${confident} confident`, "Shift Space"), hint(next, "Ctrl Enter")] : []),
     ...(found > Math.max(confident, 1) ? [hint(`accept all ${found}`, "Shift G"), hint(next, "Ctrl Shift Enter")] : []),
     hint("reject", "X"), hint("next", "Tab"), ...(second ? [hint("second-best", "K")] : []),
