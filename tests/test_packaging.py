@@ -36,6 +36,7 @@ EXTRAS = (
     "lanelet2",
     "pycolmap",
     "rosbags",
+    "ray",
     "s3fs",
 )
 """Libraries that are imported only where somebody asked for what needs them."""

@@ -150,7 +150,7 @@ class CollectionExportCommand:
         center = None if self.near is None else _place(self.near)
         if self.file.suffix != ".parquet":
             raise SemvizError(f"{self.file}: name a map file, for example near.parquet")
-        check_outputs(self.file, PARQUET, can_force=False, purpose="map")
+        check_outputs(self.file, PARQUET, can_force=False)
         tiles = _open(self.collection).tiled_map(self.version)
         part = tiles.whole() if center is None else tiles.along([center], self.radius_m)
         save_map(part, self.file)

@@ -17,10 +17,15 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import pytest
 from command_line import Call, call
 
+from semviz.batch.batch import Batch, Plan
+from semviz.batch.evaluation import Tabulate
 from semviz.cli import Command
+from semviz.collection.collection import Collection, Drive
 from semviz.runs.writer import RunWriter
 from semviz.workspace import outputs, workspace
 from semviz.workspace.workspace import TRUTH, Workspace
+from semviz_core.base.semantic_map import SemanticMap
+from semviz_core.map_tiles.publish import publish_map
 
 made_up: dict[str, Any] = runpy.run_path(str(Path(__file__).parents[2] / "bench" / "recording.py"))
 
@@ -54,6 +59,7 @@ class Output:
         return f"{self.arguments} {self.inner}".strip()
 
 
+ENDINGS = ("png", "rrd", "parquet")
 FORMATS = ("geojson", "lanelet2", "ply", "glb", "csv")
 TRAININGS = ("checkpoint.safetensors", "losses.jsonl", "losses.png", "lock")
 OUTPUTS: dict[str, dict[str, list[Output]]] = {
@@ -74,6 +80,9 @@ OUTPUTS: dict[str, dict[str, list[Output]]] = {
             for name in ("ply", "pcd")
         ]
     },
+    "map changes": {
+        "geojson": [Output("W RUN --map truth --anchor 49,8 --geojson TARGET", is_cheap=False)]
+    },
     "map localizability": {
         "plot": [Output("W --map truth --frames 0:1 --plot TARGET.png", is_cheap=False)]
     },
@@ -93,6 +102,8 @@ OUTPUTS: dict[str, dict[str, list[Output]]] = {
     },
     "detect rates": {"out": [Output("RUN --out TARGET", is_cheap=False)]},
     "evaluate": {"csv": [Output("RUN --csv TARGET")]},
+    "batch evaluate": {"frames": [Output("CITY --frames TARGET")]},
+    "collection export": {"file": [Output("CITY TARGET.parquet")]},
     "report": {
         "out": [
             Output(f"RUN --out TARGET --format {name} --pictures 0")
@@ -135,7 +146,7 @@ OUTPUTS: dict[str, dict[str, list[Output]]] = {
         ]
     },
 }
-INPUTS = {
+INPUTS: dict[str, set[str]] = {
     "annotate": {"workspace"},
     "serve": {"paths"},
     "new": {
@@ -154,6 +165,9 @@ INPUTS = {
     "detect rates": {"run_file"},
     "map backdrop": {"workspace"},
     "map build": {"workspace"},
+    **{f"batch {verb}": set() for verb in ("detect", "localize", "map")},
+    **{f"collection {verb}": set() for verb in ("create", "add", "show")},
+    "collection publish": {"source"},
     "map changes": {"workspace", "runs"},
     "map check": {"workspace"},
     "map diff": {"workspace"},
@@ -210,7 +224,7 @@ def test_every_path_of_every_command_is_listed_as_read_or_written() -> None:
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a workspace W, a run RUN and a training TRAINING."""
+    """A folder with a workspace W, a run RUN, a collection CITY and a training TRAINING."""
     folder = tmp_path_factory.mktemp("home")
     Workspace.create_street(folder / "OTHER", 7, range(4))
     with Workspace.create_street(folder / "W", 7, range(4)).open_labels():
@@ -221,7 +235,17 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for record in made_up["make_records"](semantic_map, 2, None):
             writer.write(record)
     (folder / "W" / "runs" / "search.rrd").write_bytes((folder / "RUN.rrd").read_bytes())
+    make_city(folder / "CITY", folder / "RUN.rrd", semantic_map)
     return folder
+
+
+def make_city(folder: Path, run: Path, semantic_map: SemanticMap) -> None:
+    """A collection with a map, and a batch whose only run is evaluated."""
+    store = Collection.create(folder).store
+    publish_map(store, semantic_map, None, "ann")
+    batch = Batch.begin(Collection.open(folder), "localize", Plan("localize"))
+    store.put_file_new(batch.output("runs", "may"), run)
+    assert not Tabulate(str(folder), "localize")(Drive("may", "")).failure
 
 
 @pytest.fixture(scope="module")
@@ -288,17 +312,18 @@ def arguments_of(name: str, output: Output, target: Path, home: Path) -> list[st
         "OTHER": home / "OTHER",
         "POSES": home / "POSES",
         "RUN": home / "RUN.rrd",
+        "CITY": home / "CITY",
         "TRAINING": home / "TRAINING",
     }
     words = [*name.split(), *output.arguments.split()]
     whole = {word: str(path) for word, path in known.items()}
-    suffixed = {f"TARGET.{end}": f"{target}.{end}" for end in ("png", "rrd")}
+    suffixed = {f"TARGET.{end}": f"{target}.{end}" for end in ENDINGS}
     return [(whole | suffixed).get(word, word) for word in words]
 
 
 def file_of(output: Output, target: Path) -> Path:
     """The file that a call with this target writes."""
-    for end in ("png", "rrd"):
+    for end in ENDINGS:
         if f"TARGET.{end}" in output.arguments.split():
             return target.with_name(f"{target.name}.{end}")
     return target / output.inner if output.inner else target
