@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import tyro
 
-from semviz.batch.batch import Batch, BatchCommand, Plan
+from semviz.batch.batch import BatchCommand, DriveBatch, Plan
 from semviz.batch.cluster import Cluster
 from semviz.batch.work import Work
 from semviz.collection.collection import Collection, Drive
@@ -75,7 +75,7 @@ def done(machines: Any, options: Options, seconds: Sequence[float], losses: int)
     again: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
         collection = Collection.create(Path(folder) / "city")
-        batch = Batch.begin(collection, "june", Plan("localize"))
+        batch = DriveBatch.begin(collection, "june", Plan("localize"))
         work, start_s = Work(collection.where, "june", waiting_command), time.monotonic()
         outcomes = Cluster(machines.address).run(work, drives, again.append)
         for ended, _ in enumerate(outcomes, start=1):

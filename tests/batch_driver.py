@@ -4,7 +4,7 @@ import sys
 
 from slow_drives import slow_command
 
-from semviz.batch.batch import Batch, Plan
+from semviz.batch.batch import DriveBatch, Plan
 from semviz.batch.cluster import Cluster
 from semviz.batch.work import Work
 from semviz.collection.collection import Collection, Drive
@@ -12,7 +12,7 @@ from semviz.collection.collection import Collection, Drive
 
 def main(address: str, where: str) -> None:
     """Do all drives that are not done; print those that are."""
-    batch = Batch.begin(Collection.open(where), "june", Plan("localize"))
+    batch = DriveBatch.begin(Collection.open(where), "june", Plan("localize"))
     done = {outcome.drive for outcome in batch.done_before()}
     drives = [Drive(f"d{number:02}", "/nowhere") for number in range(60)]
     left = [drive for drive in drives if drive.name not in done]

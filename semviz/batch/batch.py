@@ -74,7 +74,7 @@ def _filled(option: str, places: Mapping[str, str]) -> str:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class DriveOutcome:
     """What came of the command for one drive."""
 
     drive: str
@@ -90,7 +90,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Batch:
+class DriveBatch:
     """A batch of a collection."""
 
     store: Store
@@ -98,7 +98,7 @@ class Batch:
     plan: Plan
 
     @classmethod
-    def begin(cls, collection: Collection, name: str, plan: Plan) -> "Batch":
+    def begin(cls, collection: Collection, name: str, plan: Plan) -> "DriveBatch":
         """Return the batch ``name``, new, or going on if it has the same plan.
 
         Raise SemvizError if it has another one.
@@ -115,7 +115,7 @@ class Batch:
         return begun
 
     @classmethod
-    def find(cls, collection: Collection, name: str) -> "Batch | None":
+    def find(cls, collection: Collection, name: str) -> "DriveBatch | None":
         """Return the batch ``name``; None if it was not begun."""
         store, key = collection.store, f"batches/{checked_name(name)}/plan.json"
         if not store.exists(key):
@@ -123,7 +123,7 @@ class Batch:
         return cls(store, name, Plan.from_json(store.read(key), f"{store.where}/{key}"))
 
     @classmethod
-    def open(cls, collection: Collection, name: str) -> "Batch":
+    def open(cls, collection: Collection, name: str) -> "DriveBatch":
         """Return an existing batch. Raise SemvizError if there is none of this name."""
         if (found := cls.find(collection, name)) is not None:
             return found
@@ -143,22 +143,22 @@ class Batch:
         """Return the names of the drives that have an output, sorted."""
         return _names(self.store, self.key(kind, ""))
 
-    def done_before(self) -> list[Outcome]:
+    def done_before(self) -> list[DriveOutcome]:
         """Return what came of the drives that are done, by name."""
         names = _names(self.store, self.key("done", ""))
         with ThreadPoolExecutor(_READERS) as readers:
             return [one for one in readers.map(self.outcome, names) if one is not None]
 
-    def outcome(self, drive: str) -> Outcome | None:
+    def outcome(self, drive: str) -> DriveOutcome | None:
         """Return what came of a drive that is done; None for another one."""
         key = self.key("done", f"{drive}.json")
         if not self.store.exists(key):
             return None
         values = json.loads(self.store.read(key))
         printed, notes = values["printed"], tuple(values["notes"])
-        return Outcome(drive, "", printed, notes, values["seconds"], was_done=True)
+        return DriveOutcome(drive, "", printed, notes, values["seconds"], was_done=True)
 
-    def finish(self, done: Outcome, outputs: Mapping[Output, Path]) -> Outcome:
+    def finish(self, done: DriveOutcome, outputs: Mapping[Output, Path]) -> DriveOutcome:
         """Store the outputs of a drive, then that it is done. What another process stored before
         stays, and is returned."""
         for kind, path in outputs.items():

@@ -14,7 +14,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from semviz.batch.batch import Outcome
+from semviz.batch.batch import DriveOutcome
 from semviz.collection.collection import Drive
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import first_line
@@ -43,8 +43,8 @@ class Cluster:
     """How often a drive is begun whose worker dies."""
 
     def run(
-        self, work: Callable[[Drive], Outcome], drives: Sequence[Drive], tell: Tell
-    ) -> Iterator[Outcome]:
+        self, work: Callable[[Drive], DriveOutcome], drives: Sequence[Drive], tell: Tell
+    ) -> Iterator[DriveOutcome]:
         """Yield what comes of each drive, as they end; ``tell`` of those that are done again.
 
         Raise SemvizError if the cluster cannot be reached, or is lost meanwhile.
@@ -105,7 +105,7 @@ def _has_token() -> bool:
     return bool(named) or (Path.home() / ".ray" / "auth_token").is_file()
 
 
-def _call(work: Callable[[Drive], Outcome], drive: Drive) -> Outcome:
+def _call(work: Callable[[Drive], DriveOutcome], drive: Drive) -> DriveOutcome:
     return work(drive)
 
 
@@ -121,7 +121,7 @@ class _Round:
     """The drives that Ray has, by its references."""
     _begun: Counter[str] = field(default_factory=Counter)
 
-    def run(self, drives: Sequence[Drive]) -> Iterator[Outcome]:
+    def run(self, drives: Sequence[Drive]) -> Iterator[DriveOutcome]:
         left = iter(drives)
         while True:
             for drive in islice(left, MOST_WAITING - len(self._waiting)):
@@ -137,24 +137,26 @@ class _Round:
         self._begun[drive.name] += 1
         self._waiting[self.submit(drive)] = drive
 
-    def _outcome(self, ended: Any, drive: Drive) -> Outcome | None:
+    def _outcome(self, ended: Any, drive: Drive) -> DriveOutcome | None:
         """Return what came of a drive; None if it is begun again."""
         lost = self.ray.exceptions
         try:
-            outcome: Outcome = self.ray.get(ended)
+            outcome: DriveOutcome = self.ray.get(ended)
         except lost.RayTaskError as error:
-            return Outcome(drive.name, f"the worker failed: {first_line(error.cause or error)}")
+            return DriveOutcome(
+                drive.name, f"the worker failed: {first_line(error.cause or error)}"
+            )
         except lost.NodeDiedError:
             return self._again(drive, "its machine was lost")
         except (lost.WorkerCrashedError, lost.OutOfMemoryError):
             return self._again(drive, "its worker died (out of memory?)")
         return outcome
 
-    def _again(self, drive: Drive, cause: str) -> Outcome | None:
+    def _again(self, drive: Drive, cause: str) -> DriveOutcome | None:
         """Begin a drive again, and return None, or that it failed if that was its last try."""
         begun = self._begun[drive.name]
         if begun == self.tries:
-            return Outcome(drive.name, f"{cause}, {begun} times")
+            return DriveOutcome(drive.name, f"{cause}, {begun} times")
         self.tell(f"{drive.name}: {cause}; begun again")
         self._begin(drive)
         return None

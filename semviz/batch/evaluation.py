@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from semviz.batch.batch import Batch, Outcome
+from semviz.batch.batch import DriveBatch, DriveOutcome
 from semviz.batch.work import told
 from semviz.collection.collection import Collection, Drive
 from semviz.presentation.terminal import Table, figure, percent
@@ -29,21 +29,21 @@ class Tabulate:
     """The collection."""
     batch: str
 
-    def __call__(self, drive: Drive) -> Outcome:
+    def __call__(self, drive: Drive) -> DriveOutcome:
         """Store the table of a drive, unless that is done. What fails is told, never raised."""
         return told(drive.name, lambda: self._done(drive.name))
 
-    def _done(self, drive: str) -> Outcome:
-        batch = Batch.open(Collection.open(self.where), self.batch)
+    def _done(self, drive: str) -> DriveOutcome:
+        batch = DriveBatch.open(Collection.open(self.where), self.batch)
         key = batch.output("frames", drive)
         if batch.store.exists(key):
-            return Outcome(drive, was_done=True)
+            return DriveOutcome(drive, was_done=True)
         with tempfile.TemporaryDirectory(prefix="semviz-batch-") as folder:
             run, frames = Path(folder) / f"{drive}.rrd", Path(folder) / "frames.parquet"
             batch.store.fetch(batch.output("runs", drive), run)
             pq.write_table(_table_of(run), frames)
             batch.store.put_file_new(key, frames)
-        return Outcome(drive)
+        return DriveOutcome(drive)
 
 
 def _table_of(path: Path) -> Any:
@@ -54,14 +54,14 @@ def _table_of(path: Path) -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation:
+class BatchEvaluation:
     """The frames of all drives of a batch."""
 
     rows: FrameRows
     drives: tuple[str, ...]
 
     @classmethod
-    def of(cls, batch: Batch) -> "Evaluation":
+    def of(cls, batch: DriveBatch) -> "BatchEvaluation":
         """Read the tables of all drives that have one. Raise SemvizError if one is damaged."""
         drives = batch.drives_with("frames")
         tables = [_read(batch, drive) for drive in drives]
@@ -95,7 +95,7 @@ class Evaluation:
             yield name, self.rows.of_run(name)
 
 
-def _read(batch: Batch, drive: str) -> Any:
+def _read(batch: DriveBatch, drive: str) -> Any:
     key = batch.output("frames", drive)
     try:
         return pq.read_table(pa.BufferReader(batch.store.read(key)))

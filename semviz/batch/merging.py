@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from semviz.batch.batch import Batch
+from semviz.batch.batch import DriveBatch
 from semviz_annotation.mapping.association.tracks import OnProgress
 from semviz_annotation.mapping.drives.corrections import PoseErrors
 from semviz_annotation.mapping.drives.former_ids import with_former_ids
@@ -38,7 +38,7 @@ class Published:
         return "; ".join([version, *self.lines])
 
 
-def publish_merged(batch: Batch, errors: PoseErrors, on_progress: OnProgress) -> Published:
+def publish_merged(batch: DriveBatch, errors: PoseErrors, on_progress: OnProgress) -> Published:
     """Merge the maps of all drives that are done, and publish them as the next version.
 
     Landmarks of the version before keep their ids. A batch publishes one map: if it has been
@@ -59,7 +59,7 @@ def publish_merged(batch: Batch, errors: PoseErrors, on_progress: OnProgress) ->
     return Published(manifest.map_version, manifest.elements, lines)
 
 
-def _maps(batch: Batch, on_progress: OnProgress) -> dict[str, SemanticMap]:
+def _maps(batch: DriveBatch, on_progress: OnProgress) -> dict[str, SemanticMap]:
     """Return the maps of the drives, by name. Raise SemvizError if there is none."""
     names, maps = batch.drives_with("maps"), {}
     if not names:

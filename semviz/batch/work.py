@@ -12,7 +12,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, TypeAlias
 
-from semviz.batch.batch import Batch, BatchCommand, Outcome, Output, Plan
+from semviz.batch.batch import BatchCommand, DriveBatch, DriveOutcome, Output, Plan
 from semviz.collection.collection import Collection, Drive
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import first_line
@@ -31,27 +31,27 @@ class Work:
     batch: str
     run_command: RunCommand
 
-    def __call__(self, drive: Drive) -> Outcome:
+    def __call__(self, drive: Drive) -> DriveOutcome:
         """Run the command for a drive, unless that is done. What fails is told, never raised."""
 
-        def done() -> Outcome:
-            batch = Batch.open(Collection.open(self.where), self.batch)
+        def done() -> DriveOutcome:
+            batch = DriveBatch.open(Collection.open(self.where), self.batch)
             return batch.outcome(drive.name) or self._done(batch, drive)
 
         return told(drive.name, done)
 
-    def _done(self, batch: Batch, drive: Drive) -> Outcome:
+    def _done(self, batch: DriveBatch, drive: Drive) -> DriveOutcome:
         _check_version(batch.plan)
         with tempfile.TemporaryDirectory(prefix="semviz-batch-") as folder:
             start_s = perf_counter()
             arguments = _arguments(batch, drive, self.where, Path(folder))
             printed, notes = _printed(self.run_command, batch.plan.command, arguments)
             seconds = perf_counter() - start_s
-            done = Outcome(drive.name, "", printed, tuple(notes), seconds)
+            done = DriveOutcome(drive.name, "", printed, tuple(notes), seconds)
             return batch.finish(done, _outputs(batch.plan.command, printed))
 
 
-def told(drive: str, work: Callable[[], Outcome]) -> Outcome:
+def told(drive: str, work: Callable[[], DriveOutcome]) -> DriveOutcome:
     """Return what ``work`` returns, or why it failed."""
     try:
         return work()
@@ -64,7 +64,7 @@ def told(drive: str, work: Callable[[], Outcome]) -> Outcome:
         reason = "out of memory"
     except Exception as error:  # a fault of semviz, which must not end the batch
         reason = f"unexpected {type(error).__name__}: {first_line(error)}"
-    return Outcome(drive, f"{reason} (on {socket.gethostname()})")
+    return DriveOutcome(drive, f"{reason} (on {socket.gethostname()})")
 
 
 def _check_version(plan: Plan) -> None:
@@ -73,7 +73,7 @@ def _check_version(plan: Plan) -> None:
         raise SemvizError(f"semviz {own} is installed, the batch was begun with {plan.semviz}")
 
 
-def _arguments(batch: Batch, drive: Drive, where: str, folder: Path) -> list[str]:
+def _arguments(batch: DriveBatch, drive: Drive, where: str, folder: Path) -> list[str]:
     """Return the arguments of the command for a drive; its own files are made in ``folder``."""
     plan = batch.plan
     arguments = [drive.workspace, *plan.options_for(drive), "--json"]

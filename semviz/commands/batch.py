@@ -20,7 +20,7 @@ from semviz.commands.runs import LocalizeCommand
 from semviz_core.common.errors import SemvizError, require_extra
 
 if TYPE_CHECKING:
-    from semviz.batch.batch import Batch, BatchCommand, Outcome
+    from semviz.batch.batch import BatchCommand, DriveBatch, DriveOutcome
     from semviz.batch.cluster import Cluster
     from semviz.collection.collection import Collection, Drive
 
@@ -80,9 +80,9 @@ class _DriveCommand:
     json: bool = False
     """Print one JSON object instead of text."""
 
-    def _run_batch(self, command: "BatchCommand") -> "tuple[Batch, list[Outcome]]":
+    def _run_batch(self, command: "BatchCommand") -> "tuple[DriveBatch, list[DriveOutcome]]":
         """Run the command for all drives that are not done. Return what came of each."""
-        from semviz.batch.batch import Batch, Plan
+        from semviz.batch.batch import DriveBatch, Plan
         from semviz.batch.work import Work
         from semviz.collection.collection import Collection
 
@@ -91,8 +91,8 @@ class _DriveCommand:
         drives = collection.drives()
         self._check_options(command, drives)
         name = self.name or command
-        version = self._map_version(collection, Batch.find(collection, name))
-        batch = Batch.begin(collection, name, Plan(command, self.options, version))
+        version = self._map_version(collection, DriveBatch.find(collection, name))
+        batch = DriveBatch.begin(collection, name, Plan(command, self.options, version))
         work = Work(_absolute(self.collection), name, run_command)
         done = {outcome.drive: outcome for outcome in batch.done_before()}
         left = [drive for drive in drives if drive.name not in done]
@@ -100,7 +100,7 @@ class _DriveCommand:
         given = [done[drive.name] for drive in drives if drive.name in done]
         return batch, [*given, *outcomes]
 
-    def _map_version(self, collection: "Collection", begun: "Batch | None") -> int | None:
+    def _map_version(self, collection: "Collection", begun: "DriveBatch | None") -> int | None:
         """Return the version of the collection's map that the command uses, if it uses one."""
         return None
 
@@ -122,13 +122,16 @@ def _absolute(where: str) -> str:
 
 
 def _outcomes(
-    cluster: "Cluster", work: "Callable[[Drive], Outcome]", drives: "Sequence[Drive]", what: str
-) -> "list[Outcome]":
+    cluster: "Cluster",
+    work: "Callable[[Drive], DriveOutcome]",
+    drives: "Sequence[Drive]",
+    what: str,
+) -> "list[DriveOutcome]":
     """Return what comes of each drive, in the order in which they end. Failures are told at
     once."""
     from semviz.presentation.terminal import track
 
-    outcomes: list[Outcome] = []
+    outcomes: list[DriveOutcome] = []
     if not drives:
         return outcomes
     outcomes_of = cluster.run(work, drives, lambda line: print(line, file=sys.stderr))
@@ -181,7 +184,7 @@ class BatchLocalizeCommand(_DriveCommand):
             print(f"next: semviz batch evaluate {self.collection} --name {batch.name}")
         return exit_status
 
-    def _map_version(self, collection: "Collection", begun: "Batch | None") -> int | None:
+    def _map_version(self, collection: "Collection", begun: "DriveBatch | None") -> int | None:
         from semviz_core.map_tiles.manifest import versions
 
         if {"--map", "--collection"} & set(self.options):
@@ -242,8 +245,8 @@ class BatchEvaluateCommand:
     """Print one JSON object instead of text."""
 
     def run(self) -> int:
-        from semviz.batch.batch import Batch
-        from semviz.batch.evaluation import Evaluation, Tabulate
+        from semviz.batch.batch import DriveBatch
+        from semviz.batch.evaluation import BatchEvaluation, Tabulate
         from semviz.collection.collection import Collection, Drive
         from semviz.workspace.outputs import PARQUET, check_outputs
 
@@ -251,14 +254,14 @@ class BatchEvaluateCommand:
             check_outputs(self.frames, PARQUET, force=self.force)
         cluster = self.cluster.cluster()
         collection = Collection.open(self.collection)
-        batch = Batch.open(collection, self.name)
+        batch = DriveBatch.open(collection, self.name)
         runs, done = batch.drives_with("runs"), set(batch.drives_with("frames"))
         if not runs:
             raise SemvizError(f"batch {self.name} has no runs; only those of localize have")
         drives = [Drive(name, "") for name in runs if name not in done]
         work = Tabulate(_absolute(self.collection), self.name)
         outcomes = _outcomes(cluster, work, drives, "evaluating")
-        evaluation = Evaluation.of(batch)
+        evaluation = BatchEvaluation.of(batch)
         if self.frames is not None:
             evaluation.save(self.frames)
         print(json.dumps(evaluation.as_dict()) if self.json else evaluation.as_text())
@@ -267,8 +270,8 @@ class BatchEvaluateCommand:
 
 def _report(
     command: _DriveCommand,
-    batch: "Batch",
-    outcomes: "list[Outcome]",
+    batch: "DriveBatch",
+    outcomes: "list[DriveOutcome]",
     totals: dict[str, Any],
     said: str,
     seconds: float,

@@ -16,7 +16,7 @@ import pytest
 from command_line import call
 from slow_drives import deadly_command, slow_command
 
-from semviz.batch.batch import Batch, Outcome, Plan
+from semviz.batch.batch import DriveBatch, DriveOutcome, Plan
 from semviz.batch.cluster import Cluster
 from semviz.batch.work import Work
 from semviz.collection.collection import Collection, Drive
@@ -65,11 +65,11 @@ def kill_some(count: int, stop: threading.Event) -> None:
 
 def test_what_dies_is_done_again_and_once(machines: Any, tmp_path: Path) -> None:
     collection = Collection.create(tmp_path / "city")
-    batch = Batch.begin(collection, "june", Plan("localize"))
+    batch = DriveBatch.begin(collection, "june", Plan("localize"))
     stop, lines = threading.Event(), list[str]()
     killer = threading.Thread(target=kill_some, args=(5, stop))
     killer.start()
-    outcomes = list[Outcome]()
+    outcomes = list[DriveOutcome]()
     lost = machines.add_node(num_cpus=1)
     work = Work(collection.where, "june", slow_command)
     for outcome in Cluster(machines.address, tries=9).run(work, drives(40), lines.append):
@@ -88,7 +88,7 @@ def test_what_dies_is_done_again_and_once(machines: Any, tmp_path: Path) -> None
 
 def test_a_drive_that_always_kills_its_worker_fails_alone(machines: Any, tmp_path: Path) -> None:
     collection = Collection.create(tmp_path / "city")
-    Batch.begin(collection, "june", Plan("localize"))
+    DriveBatch.begin(collection, "june", Plan("localize"))
     work = Work(collection.where, "june", deadly_command)
     lines = list[str]()
     outcomes = Cluster(machines.address, tries=2).run(work, drives(3), lines.append)
@@ -112,7 +112,7 @@ def test_two_drivers_of_one_batch_one_of_them_killed(machines: Any, tmp_path: Pa
     lines = both[1].communicate(timeout=200)[0].splitlines()
     assert both[1].returncode == 0
     assert all(line.endswith(" done") for line in lines)
-    batch = Batch.open(collection, "june")
+    batch = DriveBatch.open(collection, "june")
     names = [f"d{number:02}" for number in range(60)]
     assert batch.drives_with("runs") == [one.drive for one in batch.done_before()] == names
     assert driver(machines, tmp_path / "city").communicate(timeout=200)[0] == ""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from labelled_street import label_street
 
-from semviz.batch.batch import Batch, Plan
+from semviz.batch.batch import DriveBatch, Plan
 from semviz.batch.merging import publish_merged
 from semviz.batch.work import Work
 from semviz.collection.collection import Collection, Drive
@@ -30,15 +30,15 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return made
 
 
-def built(collection: Collection, drives: list[Drive], name: str = "map") -> Batch:
+def built(collection: Collection, drives: list[Drive], name: str = "map") -> DriveBatch:
     """The batch with the maps of some drives."""
-    batch = Batch.begin(collection, name, Plan("map"))
+    batch = DriveBatch.begin(collection, name, Plan("map"))
     for drive in drives:
         assert not Work(collection.where, name, run_command)(drive).failure
     return batch
 
 
-def publish(batch: Batch) -> int:
+def publish(batch: DriveBatch) -> int:
     return publish_merged(batch, PoseErrors(), lambda what, done, of: None).map_version
 
 
@@ -58,9 +58,8 @@ def test_a_drive_more_keeps_the_ids(tmp_path: Path, folders: list[Path]) -> None
     after = anchors(collection.tiled_map().whole())
     assert len(after) > len(before)
     assert before.keys() < after.keys()
-    for id_, anchor in before.items():
-        off_m = np.subtract(after[id_], anchor)[:2]  # tops come into view later
-        assert np.linalg.norm(off_m) < 0.5
+    off_m = [np.subtract(after[id_], anchor)[:2] for id_, anchor in before.items()]
+    assert np.median(np.linalg.norm(off_m, axis=1)) < 0.2  # what was far has come near
     assert publish(batch) == 2  # again: nothing new
 
 
@@ -78,7 +77,7 @@ def test_the_map_is_the_same_in_whatever_order_drives_are_done(
 def test_a_batch_without_maps_publishes_nothing(tmp_path: Path) -> None:
     Workspace.create_street(tmp_path / "bare", seed=5, frames=FRAMES)
     collection = Collection.create(tmp_path / "city", [tmp_path / "bare"])
-    batch = Batch.begin(collection, "map", Plan("map"))
+    batch = DriveBatch.begin(collection, "map", Plan("map"))
     (bare,) = collection.drives()
     outcome = Work(collection.where, "map", run_command)(bare)
     assert outcome.failure.startswith("no element is labelled in two images")

@@ -17,7 +17,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import pytest
 from command_line import Call, call
 
-from semviz.batch.batch import Batch, Plan
+from semviz.batch.batch import DriveBatch, Plan
 from semviz.batch.evaluation import Tabulate
 from semviz.cli import Command
 from semviz.collection.collection import Collection, Drive
@@ -243,7 +243,7 @@ def make_city(folder: Path, run: Path, semantic_map: SemanticMap) -> None:
     """A collection with a map, and a batch whose only run is evaluated."""
     store = Collection.create(folder).store
     publish_map(store, semantic_map, None, "ann")
-    batch = Batch.begin(Collection.open(folder), "localize", Plan("localize"))
+    batch = DriveBatch.begin(Collection.open(folder), "localize", Plan("localize"))
     store.put_file_new(batch.output("runs", "may"), run)
     assert not Tabulate(str(folder), "localize")(Drive("may", "")).failure
 

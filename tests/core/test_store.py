@@ -10,6 +10,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
+from store_writers import write_number
 
 from semviz_core.common import store as store_module
 from semviz_core.common.errors import SemvizError
@@ -84,14 +85,10 @@ def test_a_store_can_be_sent_to_another_process(store: Store) -> None:
     assert pickle.loads(pickle.dumps(store)).read("a") == b"1"
 
 
-def write(store: Store, number: int) -> bool:
-    return store.write_new("manifests/000001.json", b"%d" % number * 100_000)
-
-
 def test_one_of_several_writers_succeeds(store: Store) -> None:
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(3, spawn) as pool:
-        won = list(pool.map(write, [store] * 12, range(10, 22)))
+        won = list(pool.map(write_number, [store] * 12, range(10, 22)))
     assert won.count(True) == 1
     assert store.read("manifests/000001.json") == b"%d" % (10 + won.index(True)) * 100_000
 

@@ -1,14 +1,12 @@
 """Decide which observation is which map element under a pose, and score the pose.
 
 The score is a log-likelihood in nats. It weighs each pair against a false positive, each mapped
-element in view without a pair against a missed detection, and adds the prior. The association
-is one-to-one: two detections never share a map element. Pair constraints force or forbid pairs
-and leave all others free.
+element in view without a pair against a missed detection, and adds the prior. The association is
+one-to-one. Pair constraints force or forbid pairs and leave all others free.
 
-Correspondence probabilities combine the modes, each weighted by its likelihood. They are made
-doubly stochastic by matrix scaling (Sinkhorn and Knopp 1967) with a dustbin row and column: in
-P_ij = a_i K_ij b_j each row and column sums to 1 with its dustbin. Uniform marginals without
-dustbins, the paper's eq. 3-4, would force mass onto false pairs wherever n > m.
+Correspondence probabilities combine the modes by their likelihoods. Matrix scaling (Sinkhorn and
+Knopp 1967) with dustbins makes each row and column sum to 1: P_ij = a_i K_ij b_j. Uniform marginals
+without dustbins, the paper's eq. 3-4, would force mass onto false pairs wherever n > m.
 """
 
 from dataclasses import dataclass, field

@@ -35,6 +35,7 @@ export class GhostFinder {
    */
   seek(side, pixel) {
     clearTimeout(this.timer);
+    this.isWaiting = false;
     if (!this.#isOn(side) || !this.images.bitmap(side)) {
       this.drop();
       return;
