@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.simulation.layout import StreetOptions
+from semviz_core.simulation.street import Street
 from semviz_core.subpixel.joint_outlines import OutlineView, edge_profile, joint_outlines
 from semviz_core.subpixel.sampling import SampledImage
 
@@ -89,3 +91,25 @@ def test_a_triangle_marked_at_its_centroid_is_not_far_from_its_mark() -> None:
         best = joint_outlines(triangle_views(seed), "triangle", "centroid")[0]
         assert np.linalg.norm(best.move) < 0.35
         assert best.edges > 1.0
+
+
+def test_a_pole_above_its_peak_does_not_stretch_a_triangle() -> None:
+    """A sign of a street before leaves: its pole's edges go on in those of an outline that is too
+    tall, which were longer than those of outlines with other ratios than a triangle has."""
+    street = Street(1014, StreetOptions(signs="worn"))
+    sign = street.truth_map.elements[street.truth_map.elements.id == 23]
+    rng, seen, true_px = np.random.default_rng(0), list[OutlineView](), list[FloatArray]()
+    for number in (35, 33, 31):
+        labels, ids = street.labels(number, "left")
+        pose = street.frames[number].T_map_camera
+        assert pose is not None
+        true_px.append(labels.anchor_px[ids == 23][0])
+        mark = true_px[-1] + rng.normal(0.0, 1.0, 2)
+        image = SampledImage(street.image(number, "left"))
+        scale = 1.0 / float(pose.inverse().apply(sign.anchor_m)[0, 2])
+        profile = edge_profile(image, mark, "triangle")
+        seen.append(OutlineView(image, profile, mark, scale, 1.5))
+    best = joint_outlines(seen, "triangle", "centroid")[0]
+    for view, true, move in zip(seen, true_px, best.moves, strict=True):
+        off_px = view.middle_px + move * view.scale / seen[0].scale - true
+        assert np.linalg.norm(off_px) < 1.0

@@ -171,6 +171,9 @@ def outlined(
         return None
     if max(spread_px, own_px) > _MOST_SPREAD_PX:
         return None
+    likeliest = max(outlines, key=lambda each: each.fit)
+    if np.linalg.norm(likeliest.move - best.move) * relative > _SAME_PX:
+        return None  # edges beside the sign may be longer than its own
     other = max(
         (
             each.edges

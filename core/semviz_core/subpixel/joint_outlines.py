@@ -27,9 +27,14 @@ from semviz_core.subpixel.sign_outline import (
     turns_of,
 )
 
-_ASPECTS = {"square": (0.4, 0.55, 0.75, 1.0, 1.4, 2.0, 3.0, 4.5)}
-"""Ratios of width to height; planks and street names are wide."""
 _FORESHORTENED = (0.8, 1.0)
+_EQUILATERAL = 2.0 / np.sqrt(3.0)
+_ASPECTS = {
+    "square": (0.4, 0.55, 0.75, 1.0, 1.4, 2.0, 3.0, 4.5),
+    "triangle": tuple(_EQUILATERAL * share for share in _FORESHORTENED),
+}
+"""Ratios of width to height, if those of a foreshortened circle are not meant; planks and street
+names are wide."""
 _PULL, _MOST_PULL = 0.12, 25.0
 """Weight and bound of the squared distance from the mark, in its sigmas."""
 _LEVEL = float(np.log(HALF_PX[1] / HALF_PX[0]))
@@ -69,6 +74,11 @@ class JointOutline:
     def move(self) -> FloatArray:
         """Return (2,) px in the first image from the mark to the middle."""
         return np.asarray(np.median(self.moves, axis=0))
+
+    @property
+    def fit(self) -> float:
+        """Return the median log-odds over the images."""
+        return float(np.median(self.fits))
 
     @property
     def spread_px(self) -> float:
