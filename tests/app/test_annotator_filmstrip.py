@@ -186,6 +186,8 @@ def test_a_frame_opened_from_the_strip_leads_back_to_it(page: "Page", served: Se
     page.keyboard.press("?")
     page.wait_for_selector("dialog.help li:has-text('next or back to strip')")
     page.keyboard.press("Escape")
+    page.wait_for_selector("dialog.help", state="hidden")  # until then keys are the dialog's
+    page.wait_for_function("() => semviz.state.shownFrame?.is_searching === false")
     page.keyboard.press("Control+Shift+Enter")
     page.wait_for_function(
         "() => semviz.state.view === 'filmstrip' && !semviz.state.pending.length"
