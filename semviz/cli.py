@@ -27,7 +27,7 @@ from semviz.commands.research import (
     WeightsCommand,
 )
 from semviz.commands.tools import AnnotateCommand, OpenRunCommand, ServeCommand
-from semviz_core.common.errors import SemvizError
+from semviz_core.common.errors import SemvizError, file_error_text
 
 MapCommands = Annotated[
     Annotated[maps.MapBuildCommand, subcommand("build")]
@@ -158,8 +158,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 141
     except OSError as error:  # for example no permission, a full disk, a name too long
-        where = "" if error.filename is None else f"{error.filename}: "
-        status = _print_error(f"{where}{error.strerror or error}")
+        status = _print_error(file_error_text(error))
     except KeyboardInterrupt:
         print("semviz: interrupted", file=sys.stderr)
         status = 130

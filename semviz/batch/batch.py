@@ -150,13 +150,19 @@ class DriveBatch:
             return [one for one in readers.map(self.outcome, names) if one is not None]
 
     def outcome(self, drive: str) -> DriveOutcome | None:
-        """Return what came of a drive that is done; None for another one."""
+        """Return what came of a drive that is done; None for another one. Raise SemvizError if the
+        file that says so is damaged."""
         key = self.key("done", f"{drive}.json")
         if not self.store.exists(key):
             return None
-        values = json.loads(self.store.read(key))
-        printed, notes = values["printed"], tuple(values["notes"])
-        return DriveOutcome(drive, "", printed, notes, values["seconds"], was_done=True)
+        try:
+            values = json.loads(self.store.read(key))
+            printed, notes = values["printed"], tuple(values["notes"])
+            return DriveOutcome(drive, "", printed, notes, values["seconds"], was_done=True)
+        except (ValueError, TypeError, KeyError):
+            raise SemvizError(
+                f"{self.store.where}/{key}: damaged; delete it, and the drive is done again"
+            ) from None
 
     def finish(self, done: DriveOutcome, outputs: Mapping[Output, Path]) -> DriveOutcome:
         """Store the outputs of a drive, then that it is done. What another process stored before

@@ -62,8 +62,11 @@ class BatchEvaluation:
 
     @classmethod
     def of(cls, batch: DriveBatch) -> "BatchEvaluation":
-        """Read the tables of all drives that have one. Raise SemvizError if one is damaged."""
+        """Read the tables of all drives that have one. Raise SemvizError if none has, or one is
+        damaged."""
         drives = batch.drives_with("frames")
+        if not drives:
+            raise SemvizError(f"batch {batch.name}: no run could be evaluated")
         tables = [_read(batch, drive) for drive in drives]
         return cls(FrameRows(pa.concat_tables(tables).unify_dictionaries()), tuple(drives))
 

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 
 from semviz.batch.batch import BatchCommand, DriveBatch, DriveOutcome, Output, Plan
 from semviz.collection.collection import Collection, Drive
-from semviz_core.common.errors import SemvizError
+from semviz_core.common.errors import SemvizError, file_error_text
 from semviz_core.common.limits import first_line
 
 RunCommand: TypeAlias = Callable[[BatchCommand, list[str]], int]
@@ -58,8 +58,7 @@ def told(drive: str, work: Callable[[], DriveOutcome]) -> DriveOutcome:
     except SemvizError as error:
         reason = str(error)
     except OSError as error:
-        where = "" if error.filename is None else f"{error.filename}: "
-        reason = f"{where}{error.strerror or error}"
+        reason = file_error_text(error)
     except MemoryError:
         reason = "out of memory"
     except Exception as error:  # a fault of semviz, which must not end the batch

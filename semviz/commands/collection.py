@@ -129,7 +129,7 @@ class CollectionPublishCommand:
 class CollectionExportCommand:
     """Write the map of a collection, or the part around a place, to a map file.
 
-    Example: 'semviz collection export city town/maps/near.parquet --near 120,-40'."""
+    Example: 'semviz collection export city near.parquet --near 120,-40'."""
 
     collection: Where
     file: Positional[Path]

@@ -9,6 +9,7 @@ import pytest
 from slow_drives import slow_command
 
 from semviz.batch.batch import BatchCommand, DriveBatch, DriveOutcome, Plan
+from semviz.batch.evaluation import BatchEvaluation
 from semviz.batch.work import Work
 from semviz.collection.collection import Collection, Drive
 from semviz.commands.batch import run_command
@@ -115,6 +116,19 @@ def test_a_damaged_plan_is_named(collection: Collection) -> None:
     collection.store.write_new("batches/june/plan.json", b"{")
     with pytest.raises(SemvizError, match=r"batches/june/plan.json: no plan of a batch"):
         DriveBatch.open(collection, "june")
+
+
+def test_a_damaged_result_is_named(collection: Collection) -> None:
+    batch = DriveBatch.begin(collection, "june", Plan("localize"))
+    batch.store.write_new(batch.key("done", "may.json"), b'{"printed": {}}')
+    with pytest.raises(SemvizError, match=r"done/may.json: damaged; delete it"):
+        batch.done_before()
+
+
+def test_without_a_table_nothing_is_evaluated(collection: Collection) -> None:
+    batch = DriveBatch.begin(collection, "june", Plan("localize"))
+    with pytest.raises(SemvizError, match="no run could be evaluated"):
+        BatchEvaluation.of(batch)
 
 
 ON_A_FULL_DISK = """

@@ -10,6 +10,12 @@ class SemvizError(Exception):
     """
 
 
+def file_error_text(error: OSError) -> str:
+    """Return what the system says of a file, for example no permission, or a full disk."""
+    where = "" if error.filename is None else f"{error.filename}: "
+    return f"{where}{error.strerror or error}"
+
+
 def require_extra(what: str, library: str, extra: str) -> None:
     """Raise SemvizError if ``library``, which ``what`` needs, is not installed.
 
