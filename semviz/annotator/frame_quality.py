@@ -55,6 +55,8 @@ class FrameQuality:
         self._selection = selection
         self._facts: dict[int, FrameFacts] = {}
         self._stale: dict[int, None] = dict.fromkeys(order)
+        self._assessed: set[int] = set()
+        """Frames that were assessed since the last ``take_assessed``."""
 
     def of(self, frame_index: int) -> FrameFacts | None:
         """Return the facts of a frame; None if they are not known yet."""
@@ -86,16 +88,20 @@ class FrameQuality:
         self._stale = dict.fromkeys(self._order)
         return self._order
 
-    def update(self, labels: Labels, seconds: float) -> tuple[list[int], bool]:
-        """Assess stale frames for that long. Return them, and whether all are up to date."""
-        frames: list[int] = []
+    def update(self, labels: Labels, seconds: float) -> bool:
+        """Assess stale frames for that long. Return whether all are up to date."""
         end = time.monotonic() + seconds
         while self._stale and time.monotonic() < end:
             index = next(iter(self._stale))
             del self._stale[index]
             self._facts[index] = self._assess(index, labels)
-            frames.append(index)
-        return frames, not self._stale
+            self._assessed.add(index)
+        return not self._stale
+
+    def take_assessed(self) -> list[int]:
+        """Return the frames that were assessed since the last call."""
+        frames, self._assessed = sorted(self._assessed), set()
+        return frames
 
     def _assess(self, frame_index: int, labels: Labels) -> FrameFacts:
         rows = labels.in_frame(frame_index)

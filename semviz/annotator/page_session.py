@@ -160,9 +160,7 @@ class AnnotatorPage:
         """Return updates together with those that wait, which are older."""
         if self._waiting is None:
             return labels
-        newer = {frame.index for frame in labels.frames}
-        older = [frame for frame in self._waiting.frames if frame.index not in newer]
-        return labels.model_copy(update={"frames": [*older, *labels.frames]})
+        return _with_frames(labels, self._waiting.frames, labels.frames)
 
     def _own(self, labels: LabelsView) -> LabelsView:
         """Return a view as this page shows it: one undoes one's own edits."""
@@ -179,7 +177,9 @@ class AnnotatorPage:
         self._send(messages.LabelFileEvent(state=health.state, text=health.text))
 
     def send_frame_list(self, frames: list[FrameSummary]) -> None:
-        """Send the changed entries of the list of frames."""
+        """Send the changed entries of the list of frames. The caller holds the lock."""
+        if self._waiting is not None:  # its frames are older, and would follow
+            self._waiting = _with_frames(self._waiting, self._waiting.frames, frames)
         self._send(messages.FrameListEvent(frames=frames))
 
     def send_tracks(self, rows: Sequence[TrackRow], frames: Sequence[TrackFrame] = ()) -> None:
@@ -397,6 +397,14 @@ class AnnotatorPage:
         with self._shared.lock:  # or a newer update could go first
             if self._frame == index and self._is_searching:
                 self._send(messages.LabelledFrameEvent(frame=self._shown_frame()))
+
+
+def _with_frames(
+    labels: LabelsView, older: Sequence[FrameSummary], newer: Sequence[FrameSummary]
+) -> LabelsView:
+    """Return a view with both frames, a newer one in place of an older."""
+    frames = {frame.index: frame for frame in [*older, *newer]}
+    return labels.model_copy(update={"frames": list(frames.values())})
 
 
 def _conflict(error: ConflictError, request_id: str) -> messages.ConflictEvent:

@@ -18,8 +18,6 @@ from semviz.annotator.page_session import HANDLERS, AnnotatorPage
 from semviz.annotator.people_view import PersonView, people_views
 from semviz.annotator.pose_views import PoseWork
 from semviz.annotator.session import LabelSession
-from semviz.annotator.track_rows import TrackRow
-from semviz.annotator.views import FrameSummary
 from semviz.web.protocol import RefusedError
 from semviz.web.sessions import Send, Sessions
 from semviz.web.viser_servers import ViserServers
@@ -237,22 +235,24 @@ class Annotator:
 
     def _analyze(self) -> None:
         """Analyze all frames, a few at a time, because edits come first."""
-        frames: list[FrameSummary] = []
-        rows: list[TrackRow] = []
         done, sent = True, time.monotonic()
         while not self._closing.wait(POLL_EVERY_S if done else self._pause_s):
             with contextlib.suppress(sqlite3.Error, LabelFileError), self.lock:
-                analyzed = self.session.analyze(ANALYZE_S)
-                done = analyzed.is_done
-                frames += analyzed.frames
-                rows += analyzed.rows
-            if (frames or rows) and (done or time.monotonic() > sent + SEND_EVERY_S):
-                with self.lock:
-                    expected = self.session.tracks.frames([frame.index for frame in frames])
-                for page in self.pages:
-                    page.send_tracks(rows, expected)
-                    page.send_frame_list(frames)
-                frames, rows, sent = [], [], time.monotonic()
+                done = self.session.analyze(ANALYZE_S)
+                if done or time.monotonic() > sent + SEND_EVERY_S:
+                    self._send_analyzed()
+                    sent = time.monotonic()
+
+    def _send_analyzed(self) -> None:
+        """Send what was analyzed. The caller holds the lock: a newer state must not go first."""
+        frames, rows = self.session.take_assessed(), self.session.tracks.take_collected()
+        if not (frames or rows):
+            return
+        expected = self.session.tracks.frames([frame.index for frame in frames])
+        for page in self.pages:
+            page.send_tracks(rows, expected)
+            if frames:
+                page.send_frame_list(frames)
 
     @property
     def _pause_s(self) -> float:

@@ -30,7 +30,7 @@ from semviz.annotator.proposal_selection import ProposalSelection
 from semviz.annotator.proposal_views import proposal_views
 from semviz.annotator.proposals import ImageQuery, inside
 from semviz.annotator.scene_view import SceneElements
-from semviz.annotator.session_results import Analyzed, BesideBlind, SavedEdit, Write
+from semviz.annotator.session_results import BesideBlind, SavedEdit, Write
 from semviz.annotator.session_tracks import SessionTracks
 from semviz.annotator.team_view import TeamWork
 from semviz.annotator.track_rows import TrackRows
@@ -156,16 +156,19 @@ class LabelSession:
         self._sent_positions_version = self._positions.version
         return view
 
-    def analyze(self, seconds: float) -> Analyzed:
-        """Analyze tracks, elements, then frames, for that long; call it repeatedly."""
+    def analyze(self, seconds: float) -> bool:
+        """Analyze tracks, elements, then frames, for that long; return whether that is all."""
         labels = self.labels
-        if rows := self.tracks.changed(seconds):  # somebody looks at them
-            return Analyzed((), tuple(rows), False)
+        if self.tracks.collect(seconds):  # somebody looks at them
+            return False
         if not self._positions.update(labels, seconds):
-            return Analyzed((), (), False)
+            return False
         self._complete_version = self._positions.version
-        frames, done = self._quality.update(labels, seconds)
-        return Analyzed(tuple(self._summaries(labels, frames)), (), done)
+        return self._quality.update(labels, seconds)
+
+    def take_assessed(self) -> list[views.FrameSummary]:
+        """Return, as they are now, the frames that were assessed since the last call."""
+        return self._summaries(self.labels, self._quality.take_assessed())
 
     def frame(self, index: int, second: SecondImage | None = None) -> draft.LabelledFrameView:
         """Return the labels and proposals of a frame, and the elements that may continue in it."""

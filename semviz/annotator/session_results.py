@@ -1,11 +1,9 @@
-"""What a labelling session returns: an edit on disk, a slice of its background analysis."""
+"""What a labelling session returns: an edit on disk."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
-from semviz.annotator.track_rows import TrackRow
-from semviz.annotator.views import FrameSummary
 from semviz_annotation.labels.edits import AnyEdit, SetAttribute
 from semviz_annotation.labels.rows import Note
 from semviz_annotation.storage.store import Operation
@@ -33,12 +31,3 @@ class SavedEdit:
     """Number of observations added; negative for removed ones."""
     note: str = ""
     """Message for the user."""
-
-
-class Analyzed(NamedTuple):
-    """What one slice of the background analysis found."""
-
-    frames: tuple[FrameSummary, ...]
-    rows: tuple[TrackRow, ...]
-    is_done: bool
-    """Whether all is up to date."""

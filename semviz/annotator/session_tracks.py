@@ -4,7 +4,7 @@ One thread at a time, except where a method says otherwise.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -32,6 +32,8 @@ class SessionTracks:
     panes: Panes
     cameras: Cameras
     worker: ImageWorker
+    _collected: dict[str, TrackRow] = field(default_factory=dict)
+    """Rows that have not been sent to the pages, by id; the newest of each."""
 
     def known(self) -> tuple[list[TrackRow], list[TrackFrame], int]:
         """Return the rows and frames known so far, and the number of all rows."""
@@ -39,9 +41,22 @@ class SessionTracks:
         rows, total = self.rows.known(labels, self.open_tracks())
         return rows, self.rows.frames(labels, self.rows.order), total
 
-    def changed(self, seconds: float = AT_ONCE_S) -> list[TrackRow]:
+    def collect(self, seconds: float) -> bool:
+        """Compute changed rows for that long; return whether there were any."""
+        rows = self.rows.update(self.store.labels, self.open_tracks(), seconds)
+        self._collected.update({row.id: row for row in rows})
+        return bool(rows)
+
+    def take_collected(self) -> list[TrackRow]:
+        """Return the rows that were computed since the last call; send them to all pages."""
+        rows = list(self._collected.values())
+        self._collected.clear()
+        return rows
+
+    def changed(self) -> list[TrackRow]:
         """Return rows that are new or changed since the last call, for all pages."""
-        return self.rows.update(self.store.labels, self.open_tracks(), seconds)
+        self.collect(AT_ONCE_S)
+        return self.take_collected()
 
     def frames(self, indices: list[int]) -> list[TrackFrame]:
         """Return what is expected in frames that were assessed."""

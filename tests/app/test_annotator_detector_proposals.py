@@ -201,7 +201,7 @@ def test_the_better_of_two_detections_in_one_position_is_proposed(tmp_path: Path
 
 def learnt(session: LabelSession, frame: int) -> FrameSummary:
     """What the jump lists say of a frame."""
-    while not session.analyze(1.0).is_done:
+    while not session.analyze(1.0):
         pass
     return next(view for view in session.summary().frames if view.index == frame)
 

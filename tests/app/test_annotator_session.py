@@ -284,11 +284,25 @@ def test_updates_follow_when_all_elements_are_triangulated(
     again = LabelSession(session.workspace, "tester")
     again.updates()
     assert (again.summary().mapped, again.has_updates()) == (0, False)
-    while not again.analyze(1.0).is_done:
+    while not again.analyze(1.0):
         pass
     assert again.has_updates()
     assert (again.updates().mapped, again.has_updates()) == (1, False)
     again.close()
+
+
+def test_what_was_analyzed_before_an_edit_is_sent_as_it_is_after_it(session: LabelSession) -> None:
+    """Pages get the analysis twice a second: an edit meanwhile must not be undone on them."""
+    drawn = draw(session, pole(session, 0, "left"))
+    session.tracks.known()  # a page looks at them
+    while not session.analyze(1.0):
+        pass
+    do(session, {"kind": "review", "frame_index": 0, "state": "reviewed"})
+    draw(session, pole(session, 0, "right", drawn))
+    session.updates()
+    assert [row.views for row in session.tracks.changed() if row.id == drawn] == [2]
+    assert {frame.index: frame.state for frame in session.take_assessed()}[0] == "reviewed"
+    assert (session.take_assessed(), session.tracks.take_collected()) == ([], [])
 
 
 def test_labels_that_were_put_back_are_shown_and_labelled_on(
