@@ -79,7 +79,7 @@ export class DrivePicture {
     const line = this.state.hasRight ? "row" : "epipolar line";
     byId("drive-explains").textContent = {
       rows: `matches; off their ${line}, ${MAGNIFIED}×`,
-      lines: `edges that are straight in the world, mostly; their bend, ${MAGNIFIED}×`,
+      lines: `bends of long edges, ${MAGNIFIED}×; many are curved in the world. The check: what distortion explains`,
       depth: this.state.hasRight ? "metres, from left and right" : "metres, from the poses of both",
     }[this.kind];
   }
@@ -212,9 +212,11 @@ export class DrivePicture {
     context.lineWidth = 3;
     context.strokeStyle = "rgba(0, 0, 0, .75)";
     context.fillStyle = "#fff";
+    const highest = place(at, [0, 0])[1] + 11;
     for (const [x, y, text] of figures) {
-      context.strokeText(text, x + 6, y + 4);
-      context.fillText(text, x + 6, y + 4);
+      const below = Math.max(y + 4, highest);
+      context.strokeText(text, x + 6, below);
+      context.fillText(text, x + 6, below);
     }
   }
 }

@@ -51,7 +51,7 @@ export class TopBar {
 
   /** What is on disk. */
   showSaved() {
-    const { pending, connected, trouble, labels, labelFile, onDisk } = this.state;
+    const { pending, connected, trouble, labels, labelFile, onDisk, question } = this.state;
     const node = byId("saved");
     const isOnDisk = (/** @type {Entry} */ { request }) => request === onDisk?.request;
     const unsaved = pending.filter((entry) => !isOnDisk(entry)).length;
@@ -62,9 +62,11 @@ export class TopBar {
         ? ["wrong", `${trouble.replace(/\.$/, "")}, ${pending.length} kept here`]
         : !connected
           ? ["offline", `Offline, ${pending.length} kept here`]
-          : unsaved
-            ? ["saving", `Saving ${unsaved} …`]
-            : ["saved", `Saved operation ${spaced(operation)}`];
+          : question
+            ? ["offline", "Waits for your answer"]
+            : unsaved
+              ? ["saving", `Saving ${unsaved} …`]
+              : ["saved", `Saved operation ${spaced(operation)}`];
     node.className = `chip ${kind}`;
     node.textContent = text;
     node.title = connected ? CHECKED[labelFile.state] : "The server does not answer. Labels are shown as they were known last; edits are kept in this browser, and saved when it is back.";
