@@ -3,11 +3,12 @@
 Each image is decoded once and cached for a while; so are the results. Thread-safe.
 """
 
+import contextlib
 import logging
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -103,7 +104,7 @@ class Images:
     def _shrink(self, index: int) -> bytes:
         import cv2
 
-        wait(self._images.unfinished())  # thumbnails never delay the frame on screen
+        self._images.wait()  # thumbnails never delay the frame on screen
         image = self._source.image(index, "left")  # not cached decoded: there is one per frame
         height = round(image.shape[0] * THUMBNAIL_WIDTH_PX / image.shape[1])
         small = cv2.resize(image, (THUMBNAIL_WIDTH_PX, height), interpolation=cv2.INTER_AREA)
@@ -145,9 +146,13 @@ class _FutureCache(Generic[T]):
                 self._futures.popitem(last=False)[1].cancel()
             return future
 
-    def unfinished(self) -> list["Future[T]"]:
+    def wait(self) -> None:
+        """Wait until all that is wanted now is made, failed or cancelled."""
         with self._lock:
-            return [future for future in self._futures.values() if not future.done()]
+            unfinished = [future for future in self._futures.values() if not future.done()]
+        for future in unfinished:  # futures.wait() never hears of those that a shutdown cancels
+            with contextlib.suppress(CancelledError):
+                future.exception()
 
     def close(self) -> None:
         self._workers.shutdown(wait=False, cancel_futures=True)

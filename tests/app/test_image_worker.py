@@ -2,6 +2,7 @@
 
 import struct
 import threading
+import time
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -65,6 +66,18 @@ def test_a_cancelled_image_is_encoded_when_it_is_wanted_again(source: SlowSource
     source.released.set()
     assert bytes(again.result(60)).startswith(b"\x89PNG")
     images.close()
+
+
+def test_a_thumbnail_does_not_wait_for_images_that_closing_cancelled(source: SlowSource) -> None:
+    """The process would never end."""
+    images = Images(source)  # type: ignore[arg-type]
+    for index in range(CACHED_IMAGES):
+        images.shown(index, "left")
+    thumbnail = images.thumbnail(0)
+    time.sleep(0.2)  # by then it waits for them
+    images.close()
+    source.released.set()
+    assert thumbnail.result(30).startswith(b"\xff\xd8")
 
 
 class FileSource(SlowSource):
