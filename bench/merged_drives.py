@@ -1,6 +1,7 @@
 """The maps of drives through a simulated city, merged: duplicates, wrong merges, accuracy, time.
 
     python bench/merged_drives.py
+    python bench/merged_drives.py --drives 50 200 800 --drives-per-block 4
     python bench/merged_drives.py --kitti-poses /data/kitti/poses --pole-maps /data/pole_maps
     python bench/merged_drives.py --streets 40 41 42 43
     python bench/merged_drives.py --picture docs/images/merged-drives.png
@@ -32,8 +33,9 @@ from semviz_annotation.labels.proposals import Proposals
 from semviz_annotation.mapping.build import build_map
 from semviz_annotation.mapping.drives.alignment import Alignment, align
 from semviz_annotation.mapping.drives.corrections import PoseErrors
-from semviz_annotation.mapping.drives.merge import MergeOptions, Merging, merge_elements
+from semviz_annotation.mapping.drives.merge import MergeOptions, Merging
 from semviz_annotation.mapping.drives.merged_map import merge_maps
+from semviz_annotation.mapping.drives.regions import merge_elements
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.frame import Side
 from semviz_core.base.pose import Pose
@@ -57,6 +59,8 @@ class Options:
     """Of a drive."""
     blocks: int = 7
     """7 by 7 blocks have 22 km of streets."""
+    drives_per_block: float | None = None
+    """Instead, the city grows with the drives, so that each meets as many others."""
     sigma_m: tuple[float, ...] = (0.3,)
     """Errors of poses in each direction."""
     stated_m: float = 0.5
@@ -86,9 +90,16 @@ def main(options: Options) -> None:
     for sigma_m in options.sigma_m:
         drift = replace(Drift(), sigma_m=sigma_m)
         for count in options.drives:
-            print(row_of("city", *city(options, count, drift), drift, stated))
+            print(row_of("city", *city(of_size(options, count), count, drift), drift, stated))
         if options.kitti_poses and options.pole_maps:
             print(row_of("KITTI 00", *kitti(options, drift), drift, stated))
+
+
+def of_size(options: Options, count: int) -> Options:
+    """Return the options with as many blocks as so many drives need."""
+    if options.drives_per_block is None:
+        return options
+    return replace(options, blocks=round(float(np.sqrt(count / options.drives_per_block))))
 
 
 def city(options: Options, count: int, drift: Drift) -> tuple[Elements3D, list[CityDrive]]:

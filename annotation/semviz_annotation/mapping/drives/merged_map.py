@@ -8,13 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from semviz_annotation.mapping.association.tracks import OnProgress
-from semviz_annotation.mapping.drives.merge import (
-    DEFAULT_OPTIONS,
-    MergeOptions,
-    Merging,
-    Stack,
-    merge_elements,
-)
+from semviz_annotation.mapping.drives.merge import DEFAULT_OPTIONS, MergeOptions, Merging, Stack
+from semviz_annotation.mapping.drives.regions import merge_elements
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
 from semviz_core.common.arrays import FloatArray, IntArray
@@ -249,20 +244,29 @@ def _report(names: Sequence[str], merging: Merging, options: MergeOptions) -> Me
     passes = np.bincount(merging.landmark)
     moved_m = np.linalg.norm(merging.moves(stack.ends_m, stack.drive)[:, :2], axis=1)
     turned_deg = np.rad2deg(merging.alignment.correction[:, 3])
-    drives = []
-    for number, name in enumerate(names):
-        rows = stack.drive == number
-        drives.append(
-            DriveReport(
-                name,
-                elements=int(rows.sum()),
-                shared=int((passes[merging.landmark[rows]] > 1).sum()),
-                moved_m=_rms(moved_m[rows]),
-                most_moved_m=float(moved_m[rows].max()),
-                turned_deg=_rms(turned_deg[knots.drive == number]),
-            )
+    drives = [
+        DriveReport(
+            name,
+            elements=len(moved),
+            shared=int((own_passes > 1).sum()),
+            moved_m=_rms(moved),
+            most_moved_m=float(moved.max()),
+            turned_deg=_rms(turned),
         )
+        for name, own_passes, moved, turned in zip(
+            names,
+            _by_drive(passes[merging.landmark], stack.drive),
+            _by_drive(moved_m, stack.drive),
+            _by_drive(turned_deg, knots.drive),
+            strict=True,
+        )
+    ]
     return MergeReport(tuple(drives), len(passes), int((passes > 1).sum()), options.errors.sigma_m)
+
+
+def _by_drive(values: FloatArray | IntArray, drive: IntArray) -> list[FloatArray | IntArray]:
+    """Return the values (n,) of each drive (n,), which ascend."""
+    return np.split(values, np.flatnonzero(np.diff(drive)) + 1)
 
 
 def _rms(values: FloatArray) -> float:
