@@ -9,9 +9,11 @@
 Drives are simulated without images (``tests/toy_city.py``). *Twice* are landmarks that
 several drives map and that stand in the map more than once; *merged* are landmarks of the map
 that are several; the *bound* is the error with the true associations. *Local* is the error against
-the mean of the neighbours within 40 m, which is what a vehicle localizes by.
+the mean of the neighbours within 40 m, which is what a vehicle localizes by. *MB* is the peak
+memory of the process.
 """
 
+import resource
 import time
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -49,7 +51,7 @@ from semviz_core.simulation.street import Street
 
 SIDES: tuple[Side, Side] = ("left", "right")
 NEIGHBOURS_M = 40.0
-HEAD = "place    drives off by  elements  shared  twice  merged error, m  bound  local    s ms each"
+HEAD = "place  drives off by elements  shared  twice merged error, m bound  local    s ms each   MB"
 
 
 @dataclass(frozen=True)
@@ -195,6 +197,7 @@ def row_of(
     start = time.process_time()
     merging = merge_elements([one.semantic_map for one in drives], MergeOptions(stated))
     seconds = time.process_time() - start
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     true_row = np.concatenate([one.true_row for one in drives])
     shared, twice, merged = associations(merging.landmark, true_row, merging.stack.drive)
     best, known = with_true_associations(merging, true_row, stated)
@@ -202,10 +205,10 @@ def row_of(
     error_m = off_m(merging.alignment, merging.landmark, truth, true_row, real)
     bound_m = off_m(best, known, truth, true_row, real)
     return (
-        f"{place:8}{len(drives):5}{drift.sigma_m:8.1f}{len(true_row):10}{shared:8}"
-        f"{twice / shared:7.2%}{merged:8.2%}{rms(error_m):9.3f}{rms(bound_m):7.3f}"
+        f"{place:8}{len(drives):5}{drift.sigma_m:7.1f}{len(true_row):9}{shared:8}"
+        f"{twice / shared:7.2%}{merged:7.2%}{rms(error_m):9.3f}{rms(bound_m):6.3f}"
         f"{local(error_m, truth.anchor_m[true_row[real], :2], merging.landmark[real]):7.3f}"
-        f"{seconds:5.1f}{seconds / len(drives) * 1e3:7.0f}"
+        f"{seconds:5.1f}{seconds / len(drives) * 1e3:7.0f}{peak_mb:6.0f}"
     )
 
 

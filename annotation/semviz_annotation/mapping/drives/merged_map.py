@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -244,29 +245,27 @@ def _report(names: Sequence[str], merging: Merging, options: MergeOptions) -> Me
     passes = np.bincount(merging.landmark)
     moved_m = np.linalg.norm(merging.moves(stack.ends_m, stack.drive)[:, :2], axis=1)
     turned_deg = np.rad2deg(merging.alignment.correction[:, 3])
+    is_shared = (passes > 1)[merging.landmark]
     drives = [
         DriveReport(
             name,
-            elements=len(moved),
-            shared=int((own_passes > 1).sum()),
-            moved_m=_rms(moved),
-            most_moved_m=float(moved.max()),
-            turned_deg=_rms(turned),
+            elements=rows.stop - rows.start,
+            shared=int(is_shared[rows].sum()),
+            moved_m=_rms(moved_m[rows]),
+            most_moved_m=float(moved_m[rows].max()),
+            turned_deg=_rms(turned_deg[own_knots]),
         )
-        for name, own_passes, moved, turned in zip(
-            names,
-            _by_drive(passes[merging.landmark], stack.drive),
-            _by_drive(moved_m, stack.drive),
-            _by_drive(turned_deg, knots.drive),
-            strict=True,
+        for name, rows, own_knots in zip(
+            names, _rows_of(stack.drive), _rows_of(knots.drive), strict=True
         )
     ]
     return MergeReport(tuple(drives), len(passes), int((passes > 1).sum()), options.errors.sigma_m)
 
 
-def _by_drive(values: FloatArray | IntArray, drive: IntArray) -> list[FloatArray | IntArray]:
-    """Return the values (n,) of each drive (n,), which ascend."""
-    return np.split(values, np.flatnonzero(np.diff(drive)) + 1)
+def _rows_of(drive: IntArray) -> list[slice]:
+    """Return the rows of each drive (n,), which ascend from 0."""
+    ends = np.cumsum(np.bincount(drive)).tolist()
+    return [slice(start, end) for start, end in pairwise([0, *ends])]
 
 
 def _rms(values: FloatArray) -> float:
