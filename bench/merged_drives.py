@@ -2,6 +2,7 @@
 
     python bench/merged_drives.py
     python bench/merged_drives.py --drives 50 200 800 --drives-per-block 4
+    python bench/merged_drives.py --drives 200 --borders 100 200 300 400
     python bench/merged_drives.py --kitti-poses /data/kitti/poses --pole-maps /data/pole_maps
     python bench/merged_drives.py --streets 40 41 42 43
     python bench/merged_drives.py --picture docs/images/merged-drives.png
@@ -16,6 +17,7 @@ memory of the process.
 import resource
 import time
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -33,6 +35,7 @@ from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.proposal import ProcessedImages
 from semviz_annotation.labels.proposals import Proposals
 from semviz_annotation.mapping.build import build_map
+from semviz_annotation.mapping.drives import regions
 from semviz_annotation.mapping.drives.alignment import Alignment, align
 from semviz_annotation.mapping.drives.corrections import PoseErrors
 from semviz_annotation.mapping.drives.merge import MergeOptions, Merging
@@ -73,6 +76,8 @@ class Options:
     pole_maps: Path | None = None
     picture: Path | None = None
     """Instead, draw how seven drives of a small city are moved to this PNG file."""
+    borders: tuple[float, ...] = ()
+    """Instead, the city is merged in squares of 400 m with borders of these widths, and at once."""
     streets: tuple[int, ...] = ()
     """Instead, streets with these seeds, each driven four times and mapped from detections."""
 
@@ -87,6 +92,10 @@ def main(options: Options) -> None:
         for seed in options.streets:
             print(street_row(seed, options))
         return
+    if options.borders:
+        for row in border_rows(options):
+            print(row)
+        return
     print(HEAD)
     stated = PoseErrors(options.stated_m)
     for sigma_m in options.sigma_m:
@@ -95,6 +104,20 @@ def main(options: Options) -> None:
             print(row_of("city", *city(of_size(options, count), count, drift), drift, stated))
         if options.kitti_poses and options.pole_maps:
             print(row_of("KITTI 00", *kitti(options, drift), drift, stated))
+
+
+def border_rows(options: Options) -> Iterator[str]:
+    """Yield what differs from drives that are merged at once."""
+    _, drives = city(options, options.drives[-1], Drift(options.sigma_m[0]))
+    maps = [one.semantic_map for one in drives]
+    whole = merge_elements(maps, MergeOptions(PoseErrors(options.stated_m)))
+    for border_m in options.borders:
+        regions.REGION_M, regions.BORDER_M = 400.0, border_m
+        parts = merge_elements(maps, MergeOptions(PoseErrors(options.stated_m)))
+        other = int((parts.landmark != whole.landmark).sum())
+        off_m = (parts.alignment.ends_m - whole.alignment.ends_m)[:, :2]
+        most_m = np.linalg.norm(off_m, axis=1).max()
+        yield f"border {border_m:g} m: {other} others, {rms(off_m):.4f} m off, most {most_m:.4f} m"
 
 
 def of_size(options: Options, count: int) -> Options:

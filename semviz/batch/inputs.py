@@ -16,7 +16,7 @@ from semviz.workspace.pose_choices import FILE as POSE_CHOICES
 from semviz.workspace.pose_review import FILE as MOTIONS
 from semviz.workspace.settings import SETTINGS, KittiSettings, find_place
 from semviz.workspace.workspace import MAIN, Workspace
-from semviz_annotation.storage.store import LabelStore
+from semviz_annotation.storage.integrity import last_hash
 from semviz_core.common.errors import SemvizError
 
 _READERS = 8
@@ -30,8 +30,7 @@ def inputs_of(plan: Plan, drive: Drive) -> dict[str, str]:
         workspace = Workspace.open(drive.workspace)
         found = {name: _digest(path) for name, path in _files(plan, drive, workspace)}
         if plan.command != "detect" and workspace.labels_path.is_file():
-            with LabelStore.open(workspace.labels_path) as store:
-                found["labels"] = store.end.hash
+            found["labels"] = last_hash(workspace.labels_path)
     except (SemvizError, OSError):
         return {}
     return {name: digest for name, digest in found.items() if digest}
@@ -47,13 +46,15 @@ def changes_since(
     again = {
         drive.name: changed
         for (drive, outcome), inputs in zip(done, now, strict=True)
-        if inputs and (changed := changed_inputs(outcome.inputs, inputs))
+        if (changed := changed_inputs(outcome.inputs, inputs))
     }
     return again, now.count({})
 
 
 def changed_inputs(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
-    """Return the names of what differs, sorted."""
+    """Return the names of what differs, sorted; none if either is not known."""
+    if not before or not now:
+        return []
     return sorted(name for name in {*before, *now} if before.get(name) != now.get(name))
 
 

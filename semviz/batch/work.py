@@ -49,7 +49,8 @@ class Work:
             arguments = _arguments(batch, drive, self.where, Path(folder))
             printed, notes = _printed(self.run_command, batch.plan.command, arguments)
             seconds = perf_counter() - start_s
-            if changed := changed_inputs(inputs, inputs_of(batch.plan, drive)):
+            changed = changed_inputs(inputs, inputs_of(batch.plan, drive))
+            if changed:
                 raise SemvizError(f"{', '.join(changed)} changed meanwhile; run the command again")
             done = DriveOutcome(drive.name, "", printed, tuple(notes), seconds, inputs)
             return batch.finish(done, _outputs(batch.plan.command, printed))

@@ -79,7 +79,7 @@ function cells(row) {
 function rowOf(row) {
   const address = `/?${new URLSearchParams({ run: row.run })}`;
   const [, ...others] = cells(row);
-  const name = el("td", { class: "text" }, el("a", { href: address, text: row.run }), row.frames === undefined && el("span", { class: "dim", text: " not read yet; open it" }));
+  const name = el("td", { class: "text" }, el("a", { href: address, text: row.run }), row.frames === undefined && el("span", { class: "dim", title: "It was interrupted, or is of an earlier version; semviz repair writes a table", text: " no table at its end" }));
   return el("tr", { onclick: () => { location.href = address; } }, name, ...others);
 }
 
