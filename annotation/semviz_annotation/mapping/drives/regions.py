@@ -38,7 +38,7 @@ BORDER_M = 300.0
 
 
 @dataclass(frozen=True, eq=False)
-class Region:
+class MapRegion:
     """A square of the ground, and its border."""
 
     knots: IntArray
@@ -75,7 +75,7 @@ def merge_elements(
     return _joined(stack, knots, regions, parts)
 
 
-def _regions(maps: Sequence[SemanticMap], stack: Stack, knots: Knots) -> list[Region]:
+def _regions(maps: Sequence[SemanticMap], stack: Stack, knots: Knots) -> list[MapRegion]:
     at_m = knots.position_m[:, :2]
     square = np.floor(at_m / REGION_M)
     fits = np.ptp(at_m, axis=0).max() <= REGION_M + 2.0 * BORDER_M
@@ -84,7 +84,7 @@ def _regions(maps: Sequence[SemanticMap], stack: Stack, knots: Knots) -> list[Re
     return list(regions_of(at_m, square, knots.nearest(stack.ends_m[:, :3], stack.drive)))
 
 
-def regions_of(at_m: FloatArray, square: FloatArray, knot_of: IntArray) -> Iterator[Region]:
+def regions_of(at_m: FloatArray, square: FloatArray, knot_of: IntArray) -> Iterator[MapRegion]:
     """Yield the region of each square (k, 2) of knots at places (k, 2), where elements belong to
     the knots ``knot_of`` (n,)."""
     from scipy.spatial import cKDTree
@@ -97,11 +97,11 @@ def regions_of(at_m: FloatArray, square: FloatArray, knot_of: IntArray) -> Itera
             np.array(sorted(tree.query_ball_point(center_m, reach_m, p=np.inf)), np.int64)
             for tree in trees
         )
-        yield Region(rows, elements, home[rows] == number, home[knot_of[elements]] == number)
+        yield MapRegion(rows, elements, home[rows] == number, home[knot_of[elements]] == number)
 
 
 def _joined(
-    stack: Stack, knots: Knots, regions: Sequence[Region], parts: Sequence[Merging]
+    stack: Stack, knots: Knots, regions: Sequence[MapRegion], parts: Sequence[Merging]
 ) -> Merging:
     """Return what the regions found in their squares as one."""
     lead = _leads(len(stack.drive), regions, parts)
@@ -123,7 +123,7 @@ def _joined(
     return Merging(stack, knots, landmark, alignment, scatter_m)
 
 
-def _leads(n: int, regions: Sequence[Region], parts: Sequence[Merging]) -> IntArray:
+def _leads(n: int, regions: Sequence[MapRegion], parts: Sequence[Merging]) -> IntArray:
     """Return (n, 2) for each element the region that decides about it, and the first element of the
     landmark that it takes it for. The landmarks of one region are those of its own elements, and of
     others whose own region agrees."""
@@ -140,7 +140,7 @@ def _leads(n: int, regions: Sequence[Region], parts: Sequence[Merging]) -> IntAr
     return np.stack([decides, lead], axis=1)
 
 
-def _first_elements(region: Region, part: Merging) -> IntArray:
+def _first_elements(region: MapRegion, part: Merging) -> IntArray:
     """Return the first element of the landmark of each of a region's elements."""
     _, first = np.unique(part.landmark, return_index=True)
     return region.elements[first][part.landmark]
