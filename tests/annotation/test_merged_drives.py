@@ -10,7 +10,7 @@ from toy_city import CityDrive, Drift
 
 from semviz_annotation.mapping.drives import regions
 from semviz_annotation.mapping.drives.corrections import Knots, PoseErrors
-from semviz_annotation.mapping.drives.merge import MergeOptions, Merging
+from semviz_annotation.mapping.drives.merge import DEFAULT_OPTIONS, MergeOptions, Merging
 from semviz_annotation.mapping.drives.merged_map import merge_maps
 from semviz_annotation.mapping.drives.regions import merge_elements
 from semviz_core.base.elements import Elements3D
@@ -121,11 +121,15 @@ def test_the_order_of_drives_changes_numbers_alone(maps: dict[str, SemanticMap])
 
 
 def in_regions(
-    monkeypatch: pytest.MonkeyPatch, region_m: float, border_m: float, maps: list[SemanticMap]
+    monkeypatch: pytest.MonkeyPatch,
+    region_m: float,
+    border_m: float,
+    maps: list[SemanticMap],
+    options: MergeOptions = DEFAULT_OPTIONS,
 ) -> Merging:
     monkeypatch.setattr(regions, "REGION_M", region_m)
     monkeypatch.setattr(regions, "BORDER_M", border_m)
-    return merge_elements(maps)
+    return merge_elements(maps, options)
 
 
 @pytest.mark.parametrize("region_m", [60.0, 90.0])
@@ -151,6 +155,17 @@ def test_regions_that_disagree_lose_nothing_and_join_no_drive_with_itself(
     assert len(parts.alignment.landmark_m) == parts.landmark.max() + 1
     off = parts.alignment.landmark_m[parts.landmark] - parts.alignment.ends_m
     assert np.abs(off[:, :2]).max() < 1.5
+
+
+def test_a_drive_that_stays_does_so_in_all_regions(
+    monkeypatch: pytest.MonkeyPatch, drives: list[CityDrive]
+) -> None:
+    maps = [one.semantic_map for one in drives]
+    parts = in_regions(monkeypatch, 130.0, 60.0, maps, MergeOptions(fixed=(3,)))
+    moved_m = np.abs(parts.alignment.ends_m - np.nan_to_num(parts.stack.ends_m)).max(axis=1)
+    stays = parts.stack.drive == 3
+    assert moved_m[stays].max() < 1e-3
+    assert moved_m[~stays].max() > 0.3
 
 
 def test_a_drive_more_changes_its_regions_alone(
