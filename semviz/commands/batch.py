@@ -268,7 +268,7 @@ class BatchEvaluateCommand:
         from semviz.batch.batch import DriveBatch
         from semviz.batch.evaluation import BatchEvaluation, Tabulate
         from semviz.batch.inputs import changes_since
-        from semviz.collection.collection import Collection
+        from semviz.collection.collection import Collection, Drive
         from semviz.workspace.outputs import PARQUET, check_outputs
 
         if self.frames is not None:
@@ -287,7 +287,7 @@ class BatchEvaluateCommand:
                 file=sys.stderr,
             )
         done = set(batch.drives_with("frames"))
-        drives = [one for one, _ in known if one.name not in done]
+        drives = [Drive(name, "") for name in runs if name not in done]
         work = Tabulate(_absolute(self.collection), self.name)
         outcomes = _outcomes(cluster, work, drives, "evaluating")
         evaluation = BatchEvaluation.of(batch)
