@@ -1,6 +1,8 @@
 """The maps of drives through a simulated city, merged: duplicates, wrong merges, accuracy, time.
 
     python bench/merged_drives.py
+    python bench/merged_drives.py --drives 50 200 800 --drives-per-block 4
+    python bench/merged_drives.py --drives 200 --borders 100 200 300 400
     python bench/merged_drives.py --kitti-poses /data/kitti/poses --pole-maps /data/pole_maps
     python bench/merged_drives.py --streets 40 41 42 43
     python bench/merged_drives.py --picture docs/images/merged-drives.png
@@ -8,11 +10,14 @@
 Drives are simulated without images (``tests/toy_city.py``). *Twice* are landmarks that
 several drives map and that stand in the map more than once; *merged* are landmarks of the map
 that are several; the *bound* is the error with the true associations. *Local* is the error against
-the mean of the neighbours within 40 m, which is what a vehicle localizes by.
+the mean of the neighbours within 40 m, which is what a vehicle localizes by. *MB* is the peak
+memory of the process.
 """
 
+import resource
 import time
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,10 +35,12 @@ from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.proposal import ProcessedImages
 from semviz_annotation.labels.proposals import Proposals
 from semviz_annotation.mapping.build import build_map
+from semviz_annotation.mapping.drives import regions
 from semviz_annotation.mapping.drives.alignment import Alignment, align
 from semviz_annotation.mapping.drives.corrections import PoseErrors
-from semviz_annotation.mapping.drives.merge import MergeOptions, Merging, merge_elements
+from semviz_annotation.mapping.drives.merge import MergeOptions, Merging
 from semviz_annotation.mapping.drives.merged_map import merge_maps
+from semviz_annotation.mapping.drives.regions import merge_elements
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.frame import Side
 from semviz_core.base.pose import Pose
@@ -47,7 +54,7 @@ from semviz_core.simulation.street import Street
 
 SIDES: tuple[Side, Side] = ("left", "right")
 NEIGHBOURS_M = 40.0
-HEAD = "place    drives off by  elements  shared  twice  merged error, m  bound  local    s ms each"
+HEAD = "place  drives off by elements  shared  twice merged error, m bound  local    s ms each   MB"
 
 
 @dataclass(frozen=True)
@@ -57,6 +64,8 @@ class Options:
     """Of a drive."""
     blocks: int = 7
     """7 by 7 blocks have 22 km of streets."""
+    drives_per_block: float | None = None
+    """Instead, the city grows with the drives, so that each meets as many others."""
     sigma_m: tuple[float, ...] = (0.3,)
     """Errors of poses in each direction."""
     stated_m: float = 0.5
@@ -67,6 +76,8 @@ class Options:
     pole_maps: Path | None = None
     picture: Path | None = None
     """Instead, draw how seven drives of a small city are moved to this PNG file."""
+    borders: tuple[float, ...] = ()
+    """Instead, the city is merged in squares of 400 m with borders of these widths, and at once."""
     streets: tuple[int, ...] = ()
     """Instead, streets with these seeds, each driven four times and mapped from detections."""
 
@@ -81,14 +92,39 @@ def main(options: Options) -> None:
         for seed in options.streets:
             print(street_row(seed, options))
         return
+    if options.borders:
+        for row in border_rows(options):
+            print(row)
+        return
     print(HEAD)
     stated = PoseErrors(options.stated_m)
     for sigma_m in options.sigma_m:
         drift = replace(Drift(), sigma_m=sigma_m)
         for count in options.drives:
-            print(row_of("city", *city(options, count, drift), drift, stated))
+            print(row_of("city", *city(of_size(options, count), count, drift), drift, stated))
         if options.kitti_poses and options.pole_maps:
             print(row_of("KITTI 00", *kitti(options, drift), drift, stated))
+
+
+def border_rows(options: Options) -> Iterator[str]:
+    """Yield what differs from drives that are merged at once."""
+    _, drives = city(options, options.drives[-1], Drift(options.sigma_m[0]))
+    maps = [one.semantic_map for one in drives]
+    whole = merge_elements(maps, MergeOptions(PoseErrors(options.stated_m)))
+    for border_m in options.borders:
+        regions.REGION_M, regions.BORDER_M = 400.0, border_m
+        parts = merge_elements(maps, MergeOptions(PoseErrors(options.stated_m)))
+        other = int((parts.landmark != whole.landmark).sum())
+        off_m = (parts.alignment.ends_m - whole.alignment.ends_m)[:, :2]
+        most_m = np.linalg.norm(off_m, axis=1).max()
+        yield f"border {border_m:g} m: {other} others, {rms(off_m):.4f} m off, most {most_m:.4f} m"
+
+
+def of_size(options: Options, count: int) -> Options:
+    """Return the options with as many blocks as so many drives need."""
+    if options.drives_per_block is None:
+        return options
+    return replace(options, blocks=round(float(np.sqrt(count / options.drives_per_block))))
 
 
 def city(options: Options, count: int, drift: Drift) -> tuple[Elements3D, list[CityDrive]]:
@@ -184,6 +220,7 @@ def row_of(
     start = time.process_time()
     merging = merge_elements([one.semantic_map for one in drives], MergeOptions(stated))
     seconds = time.process_time() - start
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     true_row = np.concatenate([one.true_row for one in drives])
     shared, twice, merged = associations(merging.landmark, true_row, merging.stack.drive)
     best, known = with_true_associations(merging, true_row, stated)
@@ -191,10 +228,10 @@ def row_of(
     error_m = off_m(merging.alignment, merging.landmark, truth, true_row, real)
     bound_m = off_m(best, known, truth, true_row, real)
     return (
-        f"{place:8}{len(drives):5}{drift.sigma_m:8.1f}{len(true_row):10}{shared:8}"
-        f"{twice / shared:7.2%}{merged:8.2%}{rms(error_m):9.3f}{rms(bound_m):7.3f}"
+        f"{place:8}{len(drives):5}{drift.sigma_m:7.1f}{len(true_row):9}{shared:8}"
+        f"{twice / shared:7.2%}{merged:7.2%}{rms(error_m):9.3f}{rms(bound_m):6.3f}"
         f"{local(error_m, truth.anchor_m[true_row[real], :2], merging.landmark[real]):7.3f}"
-        f"{seconds:5.1f}{seconds / len(drives) * 1e3:7.0f}"
+        f"{seconds:5.1f}{seconds / len(drives) * 1e3:7.0f}{peak_mb:6.0f}"
     )
 
 

@@ -9,7 +9,8 @@ Its files are in the collection, below ``batches/NAME``:
     frames/DRIVE.parquet  of evaluate: a row for each frame of the run
 
 Each is written once and as a whole, the one in ``done`` after all others of its drive. So work that
-is lost is done again, and work that two processes do at once counts once, whoever ends first.
+is lost is done again, and work that two processes do at once counts once, whoever ends first. If
+what a drive was done from has changed, its files are removed, and it is done again.
 """
 
 import json
@@ -85,6 +86,8 @@ class DriveOutcome:
     notes: tuple[str, ...] = ()
     """Other lines of the command."""
     seconds: float = 0.0
+    inputs: dict[str, str] = field(default_factory=dict)
+    """Digests of what the result was made from, by name; see ``inputs``."""
     was_done: bool = False
     """Whether it had been done before."""
 
@@ -158,7 +161,8 @@ class DriveBatch:
         try:
             values = json.loads(self.store.read(key))
             printed, notes = values["printed"], tuple(values["notes"])
-            return DriveOutcome(drive, "", printed, notes, values["seconds"], was_done=True)
+            seconds, inputs = values["seconds"], values.get("inputs", {})
+            return DriveOutcome(drive, "", printed, notes, seconds, inputs, was_done=True)
         except (ValueError, TypeError, KeyError):
             raise SemvizError(
                 f"{self.store.where}/{key}: damaged; delete it, and the drive is done again"
@@ -168,12 +172,27 @@ class DriveBatch:
         """Store the outputs of a drive, then that it is done. What another process stored before
         stays, and is returned."""
         for kind, path in outputs.items():
-            self.store.put_file_new(self.output(kind, done.drive), path)
-        values = {"printed": done.printed, "notes": done.notes, "seconds": round(done.seconds, 3)}
+            key = self.output(kind, done.drive)
+            while not self.store.put_file_new(key, path):
+                if (before := self.outcome(done.drive)) is not None:
+                    return before
+                self.store.remove(key)  # of a process that was killed, perhaps of other labels
+        values = {
+            "printed": done.printed,
+            "notes": done.notes,
+            "seconds": round(done.seconds, 3),
+            "inputs": done.inputs,
+        }
         data = json.dumps(values, indent=1).encode()
         if self.store.write_new(self.key("done", f"{done.drive}.json"), data):
             return done
         return self.outcome(done.drive) or done
+
+    def forget(self, drive: str) -> None:
+        """Remove what was stored for a drive, so that it is done again."""
+        for kind in OUTPUTS:
+            self.store.remove(self.output(kind, drive))
+        self.store.remove(self.key("done", f"{drive}.json"))
 
 
 def _names(store: Store, prefix: str) -> list[str]:

@@ -1,12 +1,14 @@
 """Merge the maps of a batch's drives, and publish the result as the collection's map."""
 
+import json
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from semviz.batch.batch import DriveBatch
+from semviz.batch.batch import DriveBatch, DriveOutcome
 from semviz_annotation.mapping.association.tracks import OnProgress
 from semviz_annotation.mapping.drives.corrections import PoseErrors
 from semviz_annotation.mapping.drives.former_ids import with_former_ids
@@ -41,15 +43,16 @@ class Published:
 def publish_merged(batch: DriveBatch, errors: PoseErrors, on_progress: OnProgress) -> Published:
     """Merge the maps of all drives that are done, and publish them as the next version.
 
-    Landmarks of the version before keep their ids. A batch publishes one map: if it has been
-    published, that version is returned. Raise SemvizError if maps cannot be merged, or somebody
+    Landmarks of the version before keep their ids. If the same maps have been published, that
+    version is returned. Raise SemvizError if maps cannot be merged, or somebody
     publishes meanwhile.
     """
-    by = f"batch {batch.name}, {len(batch.drives_with('maps'))} drives"
+    done = [one for one in batch.done_before() if "map" in one.printed]
+    by = _made_from(batch.name, done)
     newest = read_manifest(batch.store) if versions(batch.store) else None
     if newest is not None and newest.by == by:
         return Published(newest.map_version, newest.elements)
-    maps = _maps(batch, on_progress)
+    maps = _maps(batch, [one.drive for one in done], on_progress)
     merged, lines = _merged(maps, errors, on_progress)
     parent = None
     if newest is not None:
@@ -59,9 +62,17 @@ def publish_merged(batch: DriveBatch, errors: PoseErrors, on_progress: OnProgres
     return Published(manifest.map_version, manifest.elements, lines)
 
 
-def _maps(batch: DriveBatch, on_progress: OnProgress) -> dict[str, SemanticMap]:
+def _made_from(batch: str, done: Sequence[DriveOutcome]) -> str:
+    """Return what the manifest says of where the map comes from."""
+    state = json.dumps([[one.drive, one.inputs] for one in done]).encode()
+    return f"batch {batch}, {len(done)} drives ({sha256(state).hexdigest()[:8]})"
+
+
+def _maps(
+    batch: DriveBatch, names: Sequence[str], on_progress: OnProgress
+) -> dict[str, SemanticMap]:
     """Return the maps of the drives, by name. Raise SemvizError if there is none."""
-    names, maps = batch.drives_with("maps"), {}
+    maps = {}
     if not names:
         raise SemvizError(f"batch {batch.name}: no map was built, so nothing is published")
     with tempfile.TemporaryDirectory(prefix="semviz-batch-") as folder:

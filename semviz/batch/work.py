@@ -13,6 +13,7 @@ from time import perf_counter
 from typing import Any, TypeAlias
 
 from semviz.batch.batch import BatchCommand, DriveBatch, DriveOutcome, Output, Plan
+from semviz.batch.inputs import changed_inputs, inputs_of
 from semviz.collection.collection import Collection, Drive
 from semviz_core.common.errors import SemvizError, file_error_text
 from semviz_core.common.limits import first_line
@@ -42,12 +43,16 @@ class Work:
 
     def _done(self, batch: DriveBatch, drive: Drive) -> DriveOutcome:
         _check_version(batch.plan)
+        inputs = inputs_of(batch.plan, drive)
         with tempfile.TemporaryDirectory(prefix="semviz-batch-") as folder:
             start_s = perf_counter()
             arguments = _arguments(batch, drive, self.where, Path(folder))
             printed, notes = _printed(self.run_command, batch.plan.command, arguments)
             seconds = perf_counter() - start_s
-            done = DriveOutcome(drive.name, "", printed, tuple(notes), seconds)
+            changed = changed_inputs(inputs, inputs_of(batch.plan, drive))
+            if changed:
+                raise SemvizError(f"{', '.join(changed)} changed meanwhile; run the command again")
+            done = DriveOutcome(drive.name, "", printed, tuple(notes), seconds, inputs)
             return batch.finish(done, _outputs(batch.plan.command, printed))
 
 

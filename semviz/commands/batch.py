@@ -94,7 +94,7 @@ class _DriveCommand:
         version = self._map_version(collection, DriveBatch.find(collection, name))
         batch = DriveBatch.begin(collection, name, Plan(command, self.options, version))
         work = Work(_absolute(self.collection), name, run_command)
-        done = {outcome.drive: outcome for outcome in batch.done_before()}
+        done = _still_valid(batch, drives)
         left = [drive for drive in drives if drive.name not in done]
         outcomes = _outcomes(cluster, work, left, command)
         given = [done[drive.name] for drive in drives if drive.name in done]
@@ -114,6 +114,26 @@ class _DriveCommand:
         for option in ("--json", "--out"):
             if option in self.options:
                 raise SemvizError(f"{option} is the batch's own; leave it out")
+
+
+def _still_valid(batch: "DriveBatch", drives: "Sequence[Drive]") -> "dict[str, DriveOutcome]":
+    """Return what came of the drives that are done, by name. Those whose inputs have changed since
+    are told, and forgotten."""
+    from semviz.batch.inputs import changes_since
+
+    done = {outcome.drive: outcome for outcome in batch.done_before()}
+    known = [(drive, done[drive.name]) for drive in drives if drive.name in done]
+    again, unread = changes_since(batch.plan, known)
+    for drive, changed in again.items():
+        print(f"{drive}: {', '.join(changed)} changed since; done again", file=sys.stderr)
+        batch.forget(drive)
+    if unread:
+        print(
+            f"workspaces of {unread} drives that are done cannot be read here; whether they have "
+            "changed is not known",
+            file=sys.stderr,
+        )
+    return {name: one for name, one in done.items() if name not in again}
 
 
 def _absolute(where: str) -> str:
@@ -247,6 +267,7 @@ class BatchEvaluateCommand:
     def run(self) -> int:
         from semviz.batch.batch import DriveBatch
         from semviz.batch.evaluation import BatchEvaluation, Tabulate
+        from semviz.batch.inputs import changes_since
         from semviz.collection.collection import Collection, Drive
         from semviz.workspace.outputs import PARQUET, check_outputs
 
@@ -255,9 +276,17 @@ class BatchEvaluateCommand:
         cluster = self.cluster.cluster()
         collection = Collection.open(self.collection)
         batch = DriveBatch.open(collection, self.name)
-        runs, done = batch.drives_with("runs"), set(batch.drives_with("frames"))
+        runs = {one.drive: one for one in batch.done_before() if "run" in one.printed}
         if not runs:
             raise SemvizError(f"batch {self.name} has no runs; only those of localize have")
+        known = [(one, runs[one.name]) for one in collection.drives() if one.name in runs]
+        for name, changed in changes_since(batch.plan, known)[0].items():
+            print(
+                f"{name}: {', '.join(changed)} changed since it was localized; 'semviz batch "
+                "localize' does it again",
+                file=sys.stderr,
+            )
+        done = set(batch.drives_with("frames"))
         drives = [Drive(name, "") for name in runs if name not in done]
         work = Tabulate(_absolute(self.collection), self.name)
         outcomes = _outcomes(cluster, work, drives, "evaluating")

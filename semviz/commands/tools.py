@@ -102,7 +102,7 @@ class ServeCommand:
     Examples: 'semviz serve' (the demo); 'semviz serve town'."""
 
     paths: Positional[tuple[Path, ...]] = ()
-    """Workspaces, runs (.rrd), or folders of runs; default: the built-in demo."""
+    """Workspaces, runs (.rrd), folders of runs or batches; default: the built-in demo."""
     host: str = "127.0.0.1"
     """Address to listen on; 127.0.0.1 is this machine, 0.0.0.0 all machines."""
     port: int = 8080
@@ -130,7 +130,7 @@ class ServeCommand:
 
 def find_runs(paths: Iterable[Path]) -> tuple[Path, ...]:
     """Return the runs in ``paths``: .rrd files, all runs of workspaces, oldest first, and those in
-    folders that are no workspaces, by name.
+    other folders or their folders ``runs``, such as a batch has, by name.
 
     Raise SemvizError if a path is nothing of that, or a workspace has no runs.
     """
@@ -143,14 +143,19 @@ def find_runs(paths: Iterable[Path]) -> tuple[Path, ...]:
         if path.is_file() or path.suffix == ".rrd":
             check_run_file(path)
             runs.append(path)
-        elif not (path / SETTINGS).is_file() and (found := sorted(path.glob("*.rrd"))):
-            runs += (run for run in found if not run.name.startswith("."))
+        elif not (path / SETTINGS).is_file() and (found := _runs_in(path)):
+            runs += found
         else:
             workspace = Workspace.open(path)
             if not workspace.runs():
                 raise SemvizError(f"{path}: no runs yet; run 'semviz localize {path}'")
             runs += [workspace.run_path(name) for name in workspace.runs()]
     return tuple(runs)
+
+
+def _runs_in(folder: Path) -> list[Path]:
+    found = sorted(folder.glob("*.rrd")) or sorted(folder.glob("runs/*.rrd"))
+    return [run for run in found if not run.name.startswith(".")]
 
 
 def _serve(

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from aiohttp import web
 
+from semviz.inspector.all_runs import all_runs_routes
 from semviz.inspector.comparison import ComparisonPanel
 from semviz.inspector.context import EmbeddedAnnotators, PageContext, RunLibrary, image_route
 from semviz.inspector.decisions import DecisionPanel
@@ -64,6 +65,7 @@ class Inspector:
             image_route(self._library),
             matrix_route(self._library),
             changes_route(self._library),
+            *all_runs_routes(self._library),
             web.static("/page/", PAGE),
             *self._sessions.routes(),
             self._annotators.tools,

@@ -168,8 +168,9 @@ class StoredFrames(Sequence[FrameRecord]):
         return rows
 
 
-def _opened_by_table(path: Path) -> Run | None:
-    """Return the run by the table at its end; None if it has none that can be used."""
+def stored_table(path: Path) -> StoredTable | None:
+    """Return the table at the end of a run, which was not rearranged since; None if it has none
+    that can be used. Nothing else of the file is read."""
     message = last_message(path, run.TABLE)
     if message is None:
         return None
@@ -179,8 +180,16 @@ def _opened_by_table(path: Path) -> Run | None:
         stored = decode_row(StoredTable, row)
     except (*BROKEN, SemvizError):
         return None
+    return stored if stored.at == message.start else None
+
+
+def _opened_by_table(path: Path) -> Run | None:
+    """Return the run by the table at its end; None if it has none that can be used."""
+    stored = stored_table(path)
+    if stored is None:
+        return None
     head = _head(path)
-    if stored.at != message.start or head.written is None or not head.recalls:
+    if head.written is None or not head.recalls:
         return None
     places = [(place,) for place in zip(stored.start.tolist(), stored.stop.tolist(), strict=True)]
     opened = head.run(StoredFrames(path, head, stored.frames.index.tolist(), places), ())

@@ -8,9 +8,11 @@ import toy_city
 from numpy.typing import ArrayLike
 from toy_city import CityDrive, Drift
 
+from semviz_annotation.mapping.drives import regions
 from semviz_annotation.mapping.drives.corrections import Knots, PoseErrors
-from semviz_annotation.mapping.drives.merge import MergeOptions, Merging, merge_elements
+from semviz_annotation.mapping.drives.merge import DEFAULT_OPTIONS, MergeOptions, Merging
 from semviz_annotation.mapping.drives.merged_map import merge_maps
+from semviz_annotation.mapping.drives.regions import merge_elements
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
 from semviz_core.common.arrays import IntArray
@@ -116,6 +118,67 @@ def test_the_order_of_drives_changes_numbers_alone(maps: dict[str, SemanticMap])
     assert np.abs(places[0] - places[1]).max() < 1e-4
     again = merge_maps(maps)[0]
     assert again.digest == one.digest
+
+
+def in_regions(
+    monkeypatch: pytest.MonkeyPatch,
+    region_m: float,
+    border_m: float,
+    maps: list[SemanticMap],
+    options: MergeOptions = DEFAULT_OPTIONS,
+) -> Merging:
+    monkeypatch.setattr(regions, "REGION_M", region_m)
+    monkeypatch.setattr(regions, "BORDER_M", border_m)
+    return merge_elements(maps, options)
+
+
+@pytest.mark.parametrize("region_m", [60.0, 90.0])
+def test_regions_find_what_is_found_at_once(
+    monkeypatch: pytest.MonkeyPatch, drives: list[CityDrive], merging: Merging, region_m: float
+) -> None:
+    maps = [one.semantic_map for one in drives]
+    parts = in_regions(monkeypatch, region_m, 150.0, maps)
+    assert np.array_equal(parts.landmark, merging.landmark)
+    for name in ("ends_m", "landmark_m", "correction"):
+        off = getattr(parts.alignment, name) - getattr(merging.alignment, name)
+        assert 0.0 < np.sqrt((off**2).mean()) < 0.02, name
+
+
+def test_regions_that_disagree_lose_nothing_and_join_no_drive_with_itself(
+    monkeypatch: pytest.MonkeyPatch, drives: list[CityDrive], merging: Merging
+) -> None:
+    maps = [one.semantic_map for one in drives]
+    parts = in_regions(monkeypatch, 40.0, 2.0, maps)
+    assert not np.array_equal(parts.landmark, merging.landmark), "the regions agree"
+    both = np.stack([parts.landmark, parts.stack.drive])
+    assert len(np.unique(both, axis=1).T) == len(both.T)
+    assert len(parts.alignment.landmark_m) == parts.landmark.max() + 1
+    off = parts.alignment.landmark_m[parts.landmark] - parts.alignment.ends_m
+    assert np.abs(off[:, :2]).max() < 1.5
+
+
+def test_a_drive_that_stays_does_so_in_all_regions(
+    monkeypatch: pytest.MonkeyPatch, drives: list[CityDrive]
+) -> None:
+    maps = [one.semantic_map for one in drives]
+    parts = in_regions(monkeypatch, 130.0, 60.0, maps, MergeOptions(fixed=(3,)))
+    moved_m = np.abs(parts.alignment.ends_m - np.nan_to_num(parts.stack.ends_m)).max(axis=1)
+    stays = parts.stack.drive == 3
+    assert moved_m[stays].max() < 1e-3
+    assert moved_m[~stays].max() > 0.3
+
+
+def test_a_drive_more_changes_its_regions_alone(
+    monkeypatch: pytest.MonkeyPatch, drives: list[CityDrive]
+) -> None:
+    here = [one.semantic_map for one in drives]
+    there = [moved(one, [1000.0, 0.0, 0.0]) for one in here]
+    few = in_regions(monkeypatch, 500.0, 100.0, [*here, *there[:-1]])
+    more = in_regions(monkeypatch, 500.0, 100.0, [*here, *there])
+    n = sum(map(len, here))
+    ends_m = [one.alignment.ends_m for one in (few, more)]
+    assert np.array_equal(ends_m[0][:n], ends_m[1][:n])
+    assert not np.allclose(ends_m[0][n:], ends_m[1][n : len(ends_m[0])])
 
 
 def test_ids_of_the_first_map_and_all_origins_stay(maps: dict[str, SemanticMap]) -> None:

@@ -30,6 +30,15 @@ def test_a_file_is_written_once_and_stays(store: Store) -> None:
     assert store.read("drives/may.json") == b"first"
 
 
+def test_what_is_removed_can_be_written_again(store: Store) -> None:
+    store.write_new("runs/may", b"first")
+    for _ in range(2):
+        store.remove("runs/may")
+        assert not store.exists("runs/may")
+    assert store.write_new("runs/may", b"second")
+    assert store.read("runs/may") == b"second"
+
+
 def test_files_are_read_up_to_a_size(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(store_module, "MOST_BYTES", 10)
     for size in (0, 10, 11):

@@ -254,6 +254,16 @@ def last_in_file(path: Path) -> tuple[int, str]:
         return tables.last_operation(connection)
 
 
+def last_hash(path: Path) -> str:
+    """Return the hash of the last operation without reading the labels. Raise SemvizError if the
+    file is none of this version."""
+    try:
+        with closing(open_read_only(path)) as connection:
+            return tables.last_operation(connection)[1]
+    except sqlite3.Error as error:
+        raise SemvizError(f"{path}: cannot be read ({error})") from None
+
+
 def _check_schema(connection: sqlite3.Connection) -> None:
     fresh = sqlite3.connect(":memory:", isolation_level=None)
     database.make(fresh)

@@ -1,6 +1,6 @@
 """A store of files that are written once: a folder, or a place in an object store.
 
-A file appears whole or not at all, and is never changed or removed. Of several processes that write
+A file appears whole or not at all, and is never changed. Of several processes that write
 one key at once, one succeeds: in a folder by a hard link, in S3 by a conditional request
 (``If-None-Match``). Keys are paths in the store, such as ``drives/may.json``.
 """
@@ -72,6 +72,10 @@ class Store(ABC):
         """Write a copy of the file ``path``, as ``write_new`` does."""
 
     @abstractmethod
+    def remove(self, key: str) -> None:
+        """Remove a file, if it exists."""
+
+    @abstractmethod
     def exists(self, key: str) -> bool:
         """Whether there is a file ``key``."""
 
@@ -112,6 +116,10 @@ class FolderStore(Store):
 
     def put_file_new(self, key: str, path: Path) -> bool:
         return self._create(key, lambda temporary: shutil.copyfile(path, temporary))
+
+    def remove(self, key: str) -> None:
+        with self._reporting(key, "removed"):
+            self._path(key).unlink(missing_ok=True)
 
     def exists(self, key: str) -> bool:
         with self._reporting(key):
@@ -180,6 +188,10 @@ class ObjectStore(Store):
         return self._create(
             key, lambda files: files.put_file(str(path), self._path(key), mode="create")
         )
+
+    def remove(self, key: str) -> None:
+        if self.exists(key):
+            self._asked(key, lambda files: files.rm_file(self._path(key)), "removed")
 
     def exists(self, key: str) -> bool:
         return bool(self._asked(key, lambda files: files.isfile(self._path(key))))

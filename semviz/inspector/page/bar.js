@@ -31,6 +31,7 @@ export class Bar {
   /** @param {string[]} names */
   showRuns(names) {
     this.choice.replaceChildren(...names.map((name) => el("option", { text: name, value: name })));
+    byId("all-runs").hidden = names.length < 2;
   }
 
   /** @param {OpenRun} run */

@@ -66,18 +66,18 @@ def information_of(
     covariance_m2: FloatArray,
     is_line: BoolArray,
     known: BoolArray,
-    scatter_m: float,
+    scatter_m: FloatArray,
 ) -> FloatArray:
     """Return the information (n, 6, 6) of elements (n, 6).
 
     An unknown end tells nothing along its pole, a sign nothing of an end. ``known`` is (n, 2).
-    ``scatter_m`` is the sigma, in each direction, of what moves an element as a whole and is
+    ``scatter_m`` (n,) is the sigma, in each direction, of what moves an element as a whole and is
     neither in its covariance nor a correction of its drive.
     """
     axis = np.nan_to_num(ends_m[:, :3] - ends_m[:, 3:])
     axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
     along_m2 = np.einsum("ni,nj->nij", axis, axis) * _ALONG_M**2
-    whole_m2 = scatter_m**2 * np.kron(np.ones((2, 2)), np.eye(3))
+    whole_m2 = scatter_m[:, None, None] ** 2 * np.kron(np.ones((2, 2)), np.eye(3))
     spread_m2 = covariance_m2 + whole_m2 + LEAST_M**2 * np.eye(6)
     for end, rows in enumerate((slice(0, 3), slice(3, 6))):
         is_open = is_line & ~known[:, end]

@@ -25,6 +25,7 @@ CORRELATION_M = 100.0
 _NEAREST = 3
 _WEIGHT_M = 6.0
 """An element is moved by the nearest knots, weighted by a Gaussian of this sigma."""
+_DRIVES_APART_M = 1e7
 _FIXED_SIGMA = 1e-4
 """Of poses that are to stay, as a share of that of others."""
 FREEDOM = 4
@@ -122,18 +123,26 @@ class Knots:
         shape = (6 * len(ends_m), FREEDOM * len(self))
         return csr_array((values.ravel(), (row.ravel(), column.ravel())), shape)
 
+    def nearest(self, points_m: FloatArray, drive: IntArray) -> IntArray:
+        """Return the knot (n,) of its drive (n,) that is nearest to each point (n, 3)."""
+        return self._near(points_m, drive)[0][:, 0]
+
+    def where(self, rows: IntArray) -> "Knots":
+        """Return some of the knots, ascending. Where a way is cut, it begins again."""
+        number = np.full(len(self) + 1, -1)  # the last one is that of no parent
+        number[rows] = np.arange(len(rows))
+        return Knots(self.position_m[rows], self.drive[rows], number[self.parent[rows]])
+
     def _near(self, points_m: FloatArray, drive: IntArray) -> tuple[IntArray, FloatArray]:
         """Return the knots (n, w) that move points (n, 3), all of the point's drive, and their
-        weights."""
+        weights; the nearest comes first."""
         from scipy.spatial import cKDTree
 
-        knot = np.zeros((len(points_m), _NEAREST), np.int64)
-        distance_m = np.full(knot.shape, np.inf)
-        for number in np.unique(drive).tolist():
-            own, rows = np.flatnonzero(self.drive == number), np.flatnonzero(drive == number)
-            near = range(1, 1 + min(_NEAREST, len(own)))
-            found_m, found = cKDTree(self.position_m[own]).query(points_m[rows], list(near))
-            distance_m[rows, : len(near)], knot[rows, : len(near)] = found_m, own[found]
+        tree = cKDTree(np.column_stack([self.position_m, self.drive * _DRIVES_APART_M]))
+        points = np.column_stack([points_m, drive * _DRIVES_APART_M])
+        distance_m, knot = tree.query(points, _NEAREST)
+        is_other = distance_m > _DRIVES_APART_M / 2.0
+        distance_m[is_other], knot = np.inf, np.where(is_other, knot[:, :1], knot)
         further_m2 = distance_m**2 - distance_m[:, :1] ** 2
         weight = np.exp(-further_m2 / (2.0 * _WEIGHT_M**2))
         return knot, weight / weight.sum(axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""One map from the maps of several drives of one place.
+"""Which elements of several drives are one landmark, and how the drives are corrected.
 
 The poses of each drive have slowly varying errors of decimetres, so its map is shifted and turned a
 little, and every landmark would stand in the joint map once for each drive. In rounds, elements of
@@ -6,12 +6,11 @@ different drives are paired where a whole stretch is shifted alike, and the driv
 these pairs; corrected drives lie closer, so the next round can tell nearer neighbours apart.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from semviz_annotation.mapping.association.tracks import OnProgress
 from semviz_annotation.mapping.drives.alignment import LEAST_M, Alignment, align, information_of
 from semviz_annotation.mapping.drives.corrections import Knots, PoseErrors
 from semviz_annotation.mapping.drives.shift_votes import Pairs, Places, vote
@@ -82,8 +81,12 @@ class Stack:
         """(n,) of the middle on the ground, mean of both directions"""
         return np.asarray(np.trace(self.on_ground_m2[:, :2, :2], axis1=1, axis2=2) / 2.0)
 
-    def information(self, scatter_m: float) -> FloatArray:
-        """Return that (n, 6, 6) of the elements, which scatter beyond their covariance."""
+    def where(self, rows: IntArray) -> "Stack":
+        """Return some of the elements."""
+        return Stack(*(getattr(self, one.name)[rows] for one in fields(self)))
+
+    def information(self, scatter_m: FloatArray) -> FloatArray:
+        """Return that (n, 6, 6) of the elements, which scatter (n,) beyond their covariance."""
         return information_of(self.ends_m, self.covariance_m2, self.is_line, self.known, scatter_m)
 
     def places(self, ends_m: FloatArray) -> Places:
@@ -103,9 +106,9 @@ class Merging:
     landmark: IntArray
     """(n,) of each element of the stack; numbered in the order of their first elements."""
     alignment: Alignment
-    scatter_m: float
-    """Sigma, in each direction, by which elements scatter about their landmarks beyond their own
-    covariance, as the drives say; it is in the covariance of landmarks."""
+    scatter_m: FloatArray
+    """(n,) sigma, in each direction, by which elements around each scatter about their landmarks
+    beyond their own covariance, as the drives say; it is in the covariance of landmarks."""
 
     def moves(self, ends_m: FloatArray, drive: IntArray) -> FloatArray:
         """Return by how much (n, 6) corrections move ends (n, 6) that the drives (n,) measured."""
@@ -113,28 +116,26 @@ class Merging:
         return np.asarray(by.reshape(-1, 6))
 
 
-def merge_elements(
-    maps: Sequence[SemanticMap],
-    options: MergeOptions = DEFAULT_OPTIONS,
-    on_progress: OnProgress = lambda what, done, of: None,
+def merge_stack(
+    stack: Stack, knots: Knots, options: MergeOptions, on_round: Callable[[], None]
 ) -> Merging:
-    """Return which elements of ``maps``, all of one frame, are one landmark, and where it is."""
-    stack, knots = Stack.of(maps), Knots.along(maps)
+    """Return which elements, all of one frame, are one landmark, and where it is. ``on_round`` is
+    called after each of ``ROUNDS``."""
     design = knots.design(stack.ends_m, stack.drive)
     prior = knots.information(options.errors, options.fixed)
 
-    ends_m, scatter_m = np.nan_to_num(stack.ends_m), FIRST_SCATTER * options.errors.sigma_m
-    for number, left in enumerate(ROUNDS):
-        on_progress("aligning drives", number, len(ROUNDS))
+    ends_m = np.nan_to_num(stack.ends_m)
+    scatter_m = np.full(len(stack.drive), FIRST_SCATTER * options.errors.sigma_m)
+    for left in ROUNDS:
         pairs = vote(stack.places(ends_m), left * options.errors.sigma_m)
         landmark = landmarks_of(pairs, stack.drive)
         information = stack.information(scatter_m)
         alignment = align(stack.ends_m, information, design, prior, landmark)
         ends_m = alignment.ends_m
-        scatter_m = alignment.scatter_m(landmark, stack.variances_m2)
+        scatter_m[:] = alignment.scatter_m(landmark, stack.variances_m2)
+        on_round()
     information = stack.information(scatter_m)
     landmark = _without_misfits(landmark, alignment.chi2(information, landmark), stack.is_line)
-    on_progress("aligning drives", len(ROUNDS), len(ROUNDS))
     alignment = align(stack.ends_m, information, design, prior, landmark)
     return Merging(stack, knots, landmark, alignment, scatter_m)
 
@@ -143,7 +144,7 @@ def landmarks_of(pairs: Pairs, drive: IntArray) -> IntArray:
     """Return the landmark (n,) of each element: groups of ``pairs``, the surest first, each with at
     most one element of a drive (n,)."""
     group = list(range(len(drive)))
-    drives = [1 << number for number in drive.tolist()]
+    drives = [{number} for number in drive.tolist()]
 
     def root(element: int) -> int:
         while group[element] != element:
@@ -156,10 +157,10 @@ def landmarks_of(pairs: Pairs, drive: IntArray) -> IntArray:
         pairs.first[order].tolist(), pairs.second[order].tolist(), strict=True
     ):
         low, high = sorted((root(first), root(second)))
-        if low != high and not drives[low] & drives[high]:
+        if low != high and drives[low].isdisjoint(drives[high]):
             group[high] = low
             drives[low] |= drives[high]
-    return _numbered(np.array([root(element) for element in range(len(group))], np.int64))
+    return numbered(np.array([root(element) for element in range(len(group))], np.int64))
 
 
 def _without_misfits(landmark: IntArray, chi2: FloatArray, is_line: BoolArray) -> IntArray:
@@ -168,10 +169,10 @@ def _without_misfits(landmark: IntArray, chi2: FloatArray, is_line: BoolArray) -
 
     misfit = chi2 > chdtri(np.where(is_line, 6, 3), CHANCE)
     own = landmark.max(initial=-1) + 1 + np.arange(len(landmark))
-    return _numbered(np.where(misfit, own, landmark))
+    return numbered(np.where(misfit, own, landmark))
 
 
-def _numbered(group: IntArray) -> IntArray:
+def numbered(group: IntArray) -> IntArray:
     """Return the groups (n,) numbered from 0 in the order of their first elements."""
     _, first, inverse = np.unique(group, return_index=True, return_inverse=True)
     rank = np.empty(len(first), np.int64)

@@ -3,18 +3,14 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from semviz_annotation.mapping.association.tracks import OnProgress
-from semviz_annotation.mapping.drives.merge import (
-    DEFAULT_OPTIONS,
-    MergeOptions,
-    Merging,
-    Stack,
-    merge_elements,
-)
+from semviz_annotation.mapping.drives.merge import DEFAULT_OPTIONS, MergeOptions, Merging, Stack
+from semviz_annotation.mapping.drives.regions import merge_elements
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
 from semviz_core.common.arrays import FloatArray, IntArray
@@ -249,20 +245,27 @@ def _report(names: Sequence[str], merging: Merging, options: MergeOptions) -> Me
     passes = np.bincount(merging.landmark)
     moved_m = np.linalg.norm(merging.moves(stack.ends_m, stack.drive)[:, :2], axis=1)
     turned_deg = np.rad2deg(merging.alignment.correction[:, 3])
-    drives = []
-    for number, name in enumerate(names):
-        rows = stack.drive == number
-        drives.append(
-            DriveReport(
-                name,
-                elements=int(rows.sum()),
-                shared=int((passes[merging.landmark[rows]] > 1).sum()),
-                moved_m=_rms(moved_m[rows]),
-                most_moved_m=float(moved_m[rows].max()),
-                turned_deg=_rms(turned_deg[knots.drive == number]),
-            )
+    is_shared = (passes > 1)[merging.landmark]
+    drives = [
+        DriveReport(
+            name,
+            elements=rows.stop - rows.start,
+            shared=int(is_shared[rows].sum()),
+            moved_m=_rms(moved_m[rows]),
+            most_moved_m=float(moved_m[rows].max()),
+            turned_deg=_rms(turned_deg[own_knots]),
         )
+        for name, rows, own_knots in zip(
+            names, _rows_of(stack.drive), _rows_of(knots.drive), strict=True
+        )
+    ]
     return MergeReport(tuple(drives), len(passes), int((passes > 1).sum()), options.errors.sigma_m)
+
+
+def _rows_of(drive: IntArray) -> list[slice]:
+    """Return the rows of each drive (n,), which ascend from 0."""
+    ends = np.cumsum(np.bincount(drive)).tolist()
+    return [slice(start, end) for start, end in pairwise([0, *ends])]
 
 
 def _rms(values: FloatArray) -> float:
