@@ -76,6 +76,8 @@ class Options:
     pole_maps: Path | None = None
     picture: Path | None = None
     """Instead, draw how seven drives of a small city are moved to this PNG file."""
+    at_once: bool = False
+    """A large city is one region."""
     borders: tuple[float, ...] = ()
     """Instead, the city is merged in squares of 400 m with borders of these widths, and at once."""
     streets: tuple[int, ...] = ()
@@ -96,6 +98,8 @@ def main(options: Options) -> None:
         for row in border_rows(options):
             print(row)
         return
+    if options.at_once:
+        regions.REGION_M = 1e9
     print(HEAD)
     stated = PoseErrors(options.stated_m)
     for sigma_m in options.sigma_m:
