@@ -23,7 +23,8 @@ drawing, before each correction and once a frame.
 import argparse
 import subprocess
 import tempfile
-from collections import Counter
+from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,7 @@ from typing import Any
 import numpy as np
 from drives import KITTI_FRAMES, SIDES, Drive, KittiDrive, StreetDrive
 from labelling_driver import Labeller
-from labelling_hand import Spent
+from labelling_hand import Work
 from labelling_truth import RIGHT_PX, errors_px, flags_right
 from playwright.sync_api import Page, sync_playwright
 
@@ -153,17 +154,23 @@ def run(
         annotator.close()
 
 
-def print_causes(spent: list[Spent], labels: int) -> None:
-    """What the inputs were for, the dearest first."""
-    inputs: Counter[str] = Counter()
-    times: Counter[str] = Counter()
-    for step in spent:
-        inputs[step.cause] += step.inputs
-        times[step.cause] += step.inputs > 0
-    print(f"{'inputs for':50s} times  inputs  each observation")
-    for cause, count in inputs.most_common():
-        if count:
-            print(f"  {cause:48s} {times[cause]:5d} {count:7d} {count / labels:10.3f}")
+def print_causes(works: Sequence[Work], labels: int) -> None:
+    """What the inputs were for, the dearest first: in all, of first and of later sightings, of
+    poles, of signs and of whole frames."""
+    counts: dict[str, Counter[str]] = defaultdict(Counter)
+    for work in works:
+        for step in work.spent:
+            of = "frame" if step.class_id is None else DEFAULT_CLASSES[step.class_id].kind
+            when = "first" if work.is_first(step) else "later"
+            for column in ("inputs", when, of):
+                counts[step.cause][column] += step.inputs
+            counts[step.cause]["times"] += step.inputs > 0
+    columns = ("times", "inputs", "first", "later", "line", "point", "frame")
+    print(f"{'inputs for':46s}{''.join(f'{each:>7s}' for each in columns)}  each observation")
+    for cause, row in sorted(counts.items(), key=lambda each: -each[1]["inputs"]):
+        if row["inputs"]:
+            shown = "".join(f"{row[each]:7d}" for each in columns)
+            print(f"  {cause:44s}{shown} {row['inputs'] / labels:10.3f}")
 
 
 def print_outcome(outcome: Outcome) -> None:
@@ -179,7 +186,7 @@ def print_outcome(outcome: Outcome) -> None:
     for class_id, each in sorted(outcome.errors_px.items()):
         share = np.mean([error <= RIGHT_PX for error in each])
         print(f"  {DEFAULT_CLASSES[class_id].name:<17} {len(each):>4}: {share:.1%}")
-    first, later = outcome.labeller.inputs_by_sighting()
+    first, later = outcome.labeller.work.inputs_by_sighting()
     print(f"  inputs for a first sighting {first:.2f} (goal 2.5), a later one {later:.2f} (0.2)")
     print(f"  keys: {dict(work.pressed)}")
     ends = outcome.ends_right
@@ -230,12 +237,12 @@ def print_sum(outcomes: list[Outcome]) -> None:
     inputs, least = sum(step.inputs for step in spent), sum(work.least for work in works)
     print(f"all: {inputs / labels:.3f} inputs per observation (goal 0.2); ", end="")
     print(f"the first drawings and the frames' keys alone {least / labels:.3f}")
-    sightings = [outcome.labeller.inputs_by_sighting() for outcome in outcomes]
+    sightings = [outcome.labeller.work.inputs_by_sighting() for outcome in outcomes]
     first, later = np.mean(sightings, axis=0)
     print(f"mean of the drives: a first sighting {first:.2f} (2.5), a later one {later:.2f} (0.2)")
     minutes = sum(work.seconds for work in works) / (labels / 2) * 1000 / 60
     print(f"1,000 stereo observations: {minutes:.1f} min (goal 20)")
-    print_causes(spent, labels)
+    print_causes(works, labels)
 
 
 if __name__ == "__main__":

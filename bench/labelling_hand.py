@@ -28,6 +28,8 @@ class Spent:
     """What it was, for people who look into it."""
     element: int | None = None
     """The element that it was for."""
+    class_id: int | None = None
+    """Of what it was for; None for a whole frame."""
 
 
 @dataclass
@@ -41,6 +43,8 @@ class Work:
     thoughts: int = 0
     spent: list[Spent] = field(default_factory=list)
     pressed: Counter[str] = field(default_factory=Counter)
+    sightings: list[tuple[int, int]] = field(default_factory=list)
+    """Frame and element of what was to be labelled, or was labelled all the same."""
 
     @property
     def inputs(self) -> int:
@@ -56,15 +60,36 @@ class Work:
         moves = (self.clicks + self.points) * POINT_S
         return self.keys * KEY_S + self.clicks * CLICK_S + moves + self.thoughts * THINK_S
 
+    def is_first(self, step: Spent) -> bool:
+        """Whether inputs were for the first sighting of an element, in either image."""
+        return step.element is not None and self.firsts.get(step.element) == step.frame
+
+    @property
+    def firsts(self) -> dict[int, int]:
+        """The frame of each element's first sighting."""
+        return {element: frame for frame, element in reversed(self.sightings)}
+
+    def inputs_by_sighting(self) -> tuple[float, float]:
+        """Return inputs for each element's first sighting, and for each later one, which bear all
+        that is for no single element."""
+        first = sum(step.inputs for step in self.spent if self.is_first(step))
+        later, firsts = self.inputs - first, len(self.firsts)
+        return first / max(firsts, 1), later / max(len(self.sightings) - firsts, 1)
+
     @contextmanager
     def on(
-        self, cause: str, frame: int, about: str = "", element: int | None = None
+        self,
+        cause: str,
+        frame: int,
+        about: str = "",
+        element: int | None = None,
+        class_id: int | None = None,
     ) -> Iterator[None]:
         """What is done within it is for ``cause``, but for what has a cause of its own there."""
         before = self.inputs - sum(step.inputs for step in self.spent)
         yield
         inputs = self.inputs - sum(step.inputs for step in self.spent) - before
-        self.spent.append(Spent(cause, inputs, frame, about, element))
+        self.spent.append(Spent(cause, inputs, frame, about, element, class_id))
 
 
 class Hand:

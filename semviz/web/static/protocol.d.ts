@@ -41,7 +41,7 @@ export interface AcceptSureTracksEdit {
 export interface AcceptTracksEdit {
   kind: "accept tracks";
   track_ids: Array<string>;
-  corrections?: Array<CorrectedMark>;
+  corrections?: Array<semviz__annotator__track_edits__CorrectedMark>;
 }
 
 /** Add several observations, all or none. An observation of an element that an earlier one creates has ``class_id`` None. */
@@ -213,13 +213,6 @@ export interface ConflictEvent {
   operation: number;
   author: string;
   time: string;
-}
-
-/** The ends by which a person replaced those of a detection. */
-export interface CorrectedMark {
-  observation_id: string;
-  anchor_px: [number, number];
-  end_px?: [number, number] | null;
 }
 
 /** Add review decisions, all or none; every later map build follows them. */
@@ -519,12 +512,36 @@ export interface FigureView {
   value: string;
 }
 
+/** What is proposed for one element in a frame. */
+export interface FilmstripCell {
+  frame: number;
+  proposal: ProposalView;
+}
+
 /** What is proposed in a frame, after its images were searched: of known elements, its own images alone. */
 export interface FilmstripEvent {
   type: "filmstrip";
   reply_to: string | null;
   frame: number;
   proposals: Array<ProposalView>;
+}
+
+/** What is proposed for one element in frames of the strip; in frames without a cell, nothing. */
+export interface FilmstripRowEvent {
+  type: "filmstrip_row";
+  reply_to: string | null;
+  element_id: string;
+  frames: Array<number>;
+  cells: Array<FilmstripCell>;
+}
+
+/** Search some frames for one element anew, by the marks of it that were corrected in the strip; a ``filmstrip_row`` event follows. */
+export interface FollowCorrectionsRequest {
+  type: "follow_corrections";
+  id: string;
+  element_id: string;
+  frames: Array<number>;
+  corrected: Array<semviz__annotator__filmstrip_messages__CorrectedMark>;
 }
 
 /** Changed entries of the list of frames. */
@@ -1490,6 +1507,23 @@ export interface WorstLabel {
   element: string | null;
 }
 
+/** A mark that a person corrected in the strip, in an image of its frame. */
+export interface semviz__annotator__filmstrip_messages__CorrectedMark {
+  frame: number;
+  side: "left" | "right";
+  anchor: [number, number];
+  end: [number, number] | null;
+  anchor_known: boolean;
+  end_known: boolean;
+}
+
+/** The ends by which a person replaced those of a detection. */
+export interface semviz__annotator__track_edits__CorrectedMark {
+  observation_id: string;
+  anchor_px: [number, number];
+  end_px?: [number, number] | null;
+}
+
 export interface Requests {
   apply_edit: ApplyEditRequest;
   assign_frames: AssignFramesRequest;
@@ -1498,6 +1532,7 @@ export interface Requests {
   choose_poses: ChoosePosesRequest;
   close_review: CloseReviewRequest;
   end_share: EndShareRequest;
+  follow_corrections: FollowCorrectionsRequest;
   go_to_frame: GoToFrameRequest;
   list_named_states: ListNamedStatesRequest;
   list_operations: ListOperationsRequest;
@@ -1532,6 +1567,7 @@ export interface Events {
   element_clicked: ElementClickedEvent;
   error: ConflictEvent | ErrorEvent | SamePlaceEvent;
   filmstrip: FilmstripEvent;
+  filmstrip_row: FilmstripRowEvent;
   frame: LabelledFrameEvent;
   frame_list: FrameListEvent;
   hello: HelloEvent;
