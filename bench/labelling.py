@@ -4,6 +4,7 @@
     python bench/labelling.py --detector own        after 'semviz detect'
     python bench/labelling.py --detector simulated  one as good as the paper's
     python bench/labelling.py --every-frame         without key frames and the filmstrip
+    python bench/labelling.py --each --tremor 0     what each input was for; a hand that hits all
     python bench/labelling.py --kitti /data/kitti   real images too: KITTI 02 with our own labels
 
 The script labels every pole and sign up to 40 m ahead that is visible in both images, by the
@@ -32,7 +33,7 @@ from typing import Any
 import numpy as np
 from drives import KITTI_FRAMES, SIDES, Drive, KittiDrive, StreetDrive
 from labelling_driver import Labeller
-from labelling_hand import Work
+from labelling_hand import TREMOR_CSS_PX, Work
 from labelling_truth import RIGHT_PX, errors_px, flags_right
 from playwright.sync_api import Page, sync_playwright
 
@@ -82,6 +83,15 @@ def simulated_proposals(workspace: Workspace, seed: int) -> None:
 
 
 @dataclass(frozen=True)
+class Way:
+    """How the script labels."""
+
+    stride: int
+    """Of key frames; 1: every frame, without the filmstrip."""
+    tremor_css_px: float
+
+
+@dataclass(frozen=True)
 class Outcome:
     """What labelling a drive cost, and what came out."""
 
@@ -96,7 +106,7 @@ class Outcome:
 
 
 def run_street(
-    seed: int, folder: Path, browser: Any, detector: str, model: str | None, stride: int
+    seed: int, folder: Path, browser: Any, detector: str, model: str | None, way: Way
 ) -> Outcome:
     workspace = Workspace.create_street(folder / f"street-{seed}", seed, range(FRAMES))
     if detector == "simulated":
@@ -104,15 +114,13 @@ def run_street(
     elif detector == "own":
         which = [] if model is None else ["--model", model]
         subprocess.run(["semviz", "detect", str(workspace.path), *which], check=True)
-    return run(workspace, StreetDrive(workspace.street), FRAMES, browser, seed, stride)
+    return run(workspace, StreetDrive(workspace.street), FRAMES, browser, seed, way)
 
 
-def run_kitti(
-    kitti: Path, frames: int, folder: Path, browser: Any, hand: int, stride: int
-) -> Outcome:
+def run_kitti(kitti: Path, frames: int, folder: Path, browser: Any, hand: int, way: Way) -> Outcome:
     path = folder / f"kitti-02-{hand}"
     workspace = Workspace.create_kitti(path, kitti, "02", (2, 3), KITTI_FRAMES[:frames])
-    return run(workspace, KittiDrive.of(kitti), frames, browser, hand, stride)
+    return run(workspace, KittiDrive.of(kitti), frames, browser, hand, way)
 
 
 def label_all(page: Page, labeller: Labeller, frames: int, stride: int) -> None:
@@ -132,7 +140,7 @@ def label_all(page: Page, labeller: Labeller, frames: int, stride: int) -> None:
 
 
 def run(
-    workspace: Workspace, drive: Drive, frames: int, browser: Any, seed: int, stride: int
+    workspace: Workspace, drive: Drive, frames: int, browser: Any, seed: int, way: Way
 ) -> Outcome:
     annotator = Annotator(workspace, author="script")
     try:
@@ -143,8 +151,8 @@ def run(
             page.goto(url)
             page.wait_for_selector("#saved.saved")
             page.keyboard.press("f")  # the 3D pane: slow without a graphics card
-            labeller = Labeller(page, annotator, drive, seed)
-            label_all(page, labeller, frames, stride)
+            labeller = Labeller(page, annotator, drive, seed, way.tremor_css_px)
+            label_all(page, labeller, frames, way.stride)
             said = page.get_attribute("#effort", "title") or ""
             page.close()
         made = annotator.session.labels
@@ -205,23 +213,26 @@ def main() -> None:
     parser.add_argument("--each", action="store_true", help="what each input was for")
     parser.add_argument("--frames", type=int, default=len(KITTI_FRAMES), help="of KITTI 02")
     parser.add_argument("--every-frame", action="store_true", help="without the filmstrip")
+    parser.add_argument(
+        "--tremor", type=float, default=TREMOR_CSS_PX, help="error of a click, CSS pixels; 0: none"
+    )
     parser.add_argument("--hands", type=int, default=4, help="that label KITTI 02")
     parser.add_argument("--kitti", type=Path, help="folder of KITTI odometry: label 02 as well")
     arguments = parser.parse_args()
     outcomes: list[Outcome] = []
-    stride = 1 if arguments.every_frame else STRIDE
+    way = Way(1 if arguments.every_frame else STRIDE, arguments.tremor)
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as name:
         browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=CHROMIUM)
         folder = Path(name)
         for seed in arguments.seeds:
             outcomes.append(
-                run_street(seed, folder, browser, arguments.detector, arguments.model, stride)
+                run_street(seed, folder, browser, arguments.detector, arguments.model, way)
             )
             print_outcome(outcomes[-1])
         if arguments.kitti is not None:
             for hand in range(arguments.hands):
                 of = arguments.kitti, arguments.frames, folder, browser
-                outcomes.append(run_kitti(*of, hand, stride))
+                outcomes.append(run_kitti(*of, hand, way))
                 print_outcome(outcomes[-1])
     if arguments.each:
         for step in [step for outcome in outcomes for step in outcome.labeller.work.spent]:

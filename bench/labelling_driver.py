@@ -32,8 +32,10 @@ DRAWN_OVER_PX = 6.0
 class Labeller(Hand):
     """Labels a drive through the page."""
 
-    def __init__(self, page: Page, annotator: Annotator, drive: Drive, seed: int) -> None:
-        super().__init__(page, seed)
+    def __init__(
+        self, page: Page, annotator: Annotator, drive: Drive, seed: int, tremor_css_px: float
+    ) -> None:
+        super().__init__(page, seed, tremor_css_px)
         self.annotator = annotator
         self.drive = drive
         self.labelled: set[int] = set()
@@ -306,7 +308,7 @@ class Labeller(Hand):
         error of a pixel is seen."""
         anchor, end = truth.marks[element][side]
         point = anchor + self.hand.uniform(0.3, 0.7) * (end - anchor)
-        self.page.mouse.move(*self.on_screen(side, point, self.hand))
+        self.page.mouse.move(*self.on_screen(side, point, trembles=True))
         self.page.wait_for_function("() => !semviz.tools.ghosts.isBusy")
         ghost = self.page.evaluate("semviz.state.ghost")
         if ghost is None or ghost["side"] != side:

@@ -95,8 +95,9 @@ class Work:
 class Hand:
     """Presses keys, and moves the mouse, which trembles."""
 
-    def __init__(self, page: Page, seed: int) -> None:
+    def __init__(self, page: Page, seed: int, tremor_css_px: float) -> None:
         self.page = page
+        self.tremor_css_px = tremor_css_px
         self.hand = np.random.default_rng(seed)
         self.work = Work()
         self.zoomed_for: tuple[int, int] | None = None
@@ -118,7 +119,7 @@ class Hand:
         if not snapped:
             self.key("m")
         self.page.keyboard.down("Shift")  # draws, even where something is
-        self.page.mouse.click(*self.on_screen(side, pixel, self.hand))
+        self.page.mouse.click(*self.on_screen(side, pixel, trembles=True))
         self.page.keyboard.up("Shift")
         if not snapped:
             self.key("m")
@@ -148,25 +149,25 @@ class Hand:
         self.work.clicks += 2
         self.page.mouse.move(*self.on_screen(side, start))
         self.page.mouse.down()
-        self.page.mouse.move(*self.on_screen(side, end, self.hand), steps=4)
+        self.page.mouse.move(*self.on_screen(side, end, trembles=True), steps=4)
         self.page.mouse.up()
         self.saved()
 
     def tremor(self) -> np.ndarray:
         """How far a hand misses, CSS px."""
-        return self.hand.normal(0.0, TREMOR_CSS_PX, 2)
+        return self.hand.normal(0.0, self.tremor_css_px, 2)
 
     def on_screen(
-        self, side: Side, pixel: np.ndarray, hand: np.random.Generator | None = None
+        self, side: Side, pixel: np.ndarray, trembles: bool = False
     ) -> tuple[float, float]:
-        """Where a pixel is; where ``hand`` hits that means it."""
+        """Where a pixel is; or where a hand hits that means it."""
         canvas = self.page.locator(f"#{side}-image canvas.marks")
         box = canvas.bounding_box()
         assert box is not None
         scale, x, y = map(float, (canvas.get_attribute("data-view") or "").split())
         u, v = (pixel + 0.5) * scale + [x, y]
-        if hand is not None:
-            u, v = np.array([u, v]) + hand.normal(0.0, TREMOR_CSS_PX, 2)
+        if trembles:
+            u, v = np.array([u, v]) + self.tremor()
         return box["x"] + u, box["y"] + v
 
     def saved(self) -> None:
