@@ -35,7 +35,7 @@ class FilmstripEvent(protocol.Event):
     proposals: list[ProposalView]
 
 
-class CorrectedMark(protocol.Part):
+class DraggedMark(protocol.Part):
     """A mark that a person corrected in the strip, in an image of its frame."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(strict=True)
@@ -60,7 +60,7 @@ class FollowCorrectionsRequest(protocol.Request):
     type: Literal["follow_corrections"] = "follow_corrections"
     element_id: Id
     frames: StripFrames
-    corrected: Annotated[list[CorrectedMark], Field(min_length=1, max_length=2 * MOST_FRAMES)]
+    corrected: Annotated[list[DraggedMark], Field(min_length=1, max_length=2 * MOST_FRAMES)]
 
 
 class FilmstripCell(protocol.Part):

@@ -41,7 +41,7 @@ export interface AcceptSureTracksEdit {
 export interface AcceptTracksEdit {
   kind: "accept tracks";
   track_ids: Array<string>;
-  corrections?: Array<semviz__annotator__track_edits__CorrectedMark>;
+  corrections?: Array<CorrectedMark>;
 }
 
 /** Add several observations, all or none. An observation of an element that an earlier one creates has ``class_id`` None. */
@@ -215,6 +215,13 @@ export interface ConflictEvent {
   time: string;
 }
 
+/** The ends by which a person replaced those of a detection. */
+export interface CorrectedMark {
+  observation_id: string;
+  anchor_px: [number, number];
+  end_px?: [number, number] | null;
+}
+
 /** Add review decisions, all or none; every later map build follows them. */
 export interface DecideElements {
   judgements: Array<ReviewDecision>;
@@ -293,6 +300,16 @@ export interface DraftState {
   second?: number | null;
   drawing?: ElementDraft | null;
   moved?: Record<string, [[number, number], [number, number] | null]>;
+}
+
+/** A mark that a person corrected in the strip, in an image of its frame. */
+export interface DraggedMark {
+  frame: number;
+  side: "left" | "right";
+  anchor: [number, number];
+  end: [number, number] | null;
+  anchor_known: boolean;
+  end_known: boolean;
 }
 
 /** Draw a mark; it joins the element ``selected_id`` if it fits or was chosen. */
@@ -526,7 +543,7 @@ export interface FilmstripEvent {
   proposals: Array<ProposalView>;
 }
 
-/** What is proposed for one element in frames of the strip; in frames without a cell, nothing. */
+/** What is proposed for one element in frames of the strip: nothing in those without a cell. */
 export interface FilmstripRowEvent {
   type: "filmstrip_row";
   reply_to: string | null;
@@ -541,7 +558,7 @@ export interface FollowCorrectionsRequest {
   id: string;
   element_id: string;
   frames: Array<number>;
-  corrected: Array<semviz__annotator__filmstrip_messages__CorrectedMark>;
+  corrected: Array<DraggedMark>;
 }
 
 /** Changed entries of the list of frames. */
@@ -1505,23 +1522,6 @@ export interface WorkspaceView {
 export interface WorstLabel {
   px: number;
   element: string | null;
-}
-
-/** A mark that a person corrected in the strip, in an image of its frame. */
-export interface semviz__annotator__filmstrip_messages__CorrectedMark {
-  frame: number;
-  side: "left" | "right";
-  anchor: [number, number];
-  end: [number, number] | null;
-  anchor_known: boolean;
-  end_known: boolean;
-}
-
-/** The ends by which a person replaced those of a detection. */
-export interface semviz__annotator__track_edits__CorrectedMark {
-  observation_id: string;
-  anchor_px: [number, number];
-  end_px?: [number, number] | null;
 }
 
 export interface Requests {
