@@ -33,6 +33,7 @@ from semviz_annotation.mapping.placement.triangulation import (
     triangulate,
 )
 from semviz_core.base.frame import Side
+from semviz_core.common.errors import SemvizError
 
 _PLACED = 1.0
 """Score of a mark that a person placed."""
@@ -46,6 +47,16 @@ class CorrectedRow:
     corrected: tuple[LabelledPane, ...]
     labels: Labels
     cameras: Cameras
+
+    def check(self) -> None:
+        """Raise SemvizError if a mark does not fit its element, or all together do not."""
+        is_line = self.labels.classes[self._class_id].kind == "line"
+        for each in self.corrected:
+            if each.pane.side not in self.cameras.sides:
+                raise SemvizError("a corrected mark is in an image that the frame has not")
+            if (each.mark.end_px is not None) != is_line:
+                raise SemvizError("a corrected mark does not fit the class of its element")
+        _ = self._position  # raises
 
     def view(self, frame_index: int, worker: ImageWorker) -> ProposalView | None:
         """Search the images of a frame, and return what is proposed; None if nothing is."""
@@ -69,12 +80,14 @@ class CorrectedRow:
         return (*self.corrected, *rows)
 
     @cached_property
-    def _position(self) -> Triangulated | None:
+    def _position(self) -> Triangulated:
+        """Raise SemvizError if the marks do not fix it."""
         views = [self.cameras.view(each.pane.frame_index, each.pane.side) for each in self._marked]
-        if len(views) < 2:
-            return None
-        found = triangulate(views, [each.mark.at(0, each.pane.side) for each in self._marked])
-        return None if isinstance(found, TriangulationFailure) else found
+        marks = [each.mark.at(0, each.pane.side) for each in self._marked]
+        found = triangulate(views, marks)
+        if isinstance(found, TriangulationFailure):
+            raise SemvizError(f"its marks have no common position: {found.reason}")
+        return found
 
     @property
     def _class_id(self) -> int:
@@ -84,26 +97,41 @@ class CorrectedRow:
         """Yield what is to be searched for in a frame, and its corrected marks as they are."""
         expected = self._expected(frame_index)
         rejected = {dismissal.id for dismissal in self.labels.dismissed_in(frame_index)}
-        for side, projection in expected.items():
-            pane = Pane(frame_index, side)
+        for side in self.cameras.sides:
+            pane, projection = Pane(frame_index, side), expected.get(side)
             placed = self._placed(pane)
-            proposal = LabelProposal(
-                id=proposal_id(self.element_id, frame_index, side),
-                pane=pane,
-                class_id=self._class_id,
-                origin="map",
-                element_id=self.element_id,
-                mark=placed or Mark(projection.anchor_px, projection.end_px),
-                score=None if placed is None else _PLACED,
-                depth_m=projection.depth_m,
-                query=None if placed is not None else self._query(pane, [*expected]),
-            )
-            if proposal.id not in rejected:
-                yield proposal
+            id_ = proposal_id(self.element_id, frame_index, side)
+            if id_ in rejected or self.labels.find(self.element_id, frame_index, side):
+                continue
+            if placed is not None:
+                yield self._proposal(id_, pane, projection, placed, None)
+            elif projection is not None:
+                mark = Mark(projection.anchor_px, projection.end_px)
+                yield self._proposal(id_, pane, projection, mark, self._query(pane, [*expected]))
+
+    def _proposal(
+        self,
+        id_: str,
+        pane: Pane,
+        projection: ProjectedElement | None,
+        mark: Mark,
+        query: ImageQuery | None,
+    ) -> LabelProposal:
+        return LabelProposal(
+            id=id_,
+            pane=pane,
+            class_id=self._class_id,
+            origin="map",
+            element_id=self.element_id,
+            mark=mark,
+            score=_PLACED if query is None else None,
+            depth_m=None if projection is None else projection.depth_m,
+            query=query,
+        )
 
     def _expected(self, frame_index: int) -> dict[Side, ProjectedElement]:
         T_camera_map = self.cameras.T_camera_map(frame_index)
-        if T_camera_map is None or self._position is None:
+        if T_camera_map is None:
             return {}
         mapped = {self.element_id: self._position}
         found = {
@@ -120,7 +148,6 @@ class CorrectedRow:
     def _query(self, pane: Pane, sides: Sequence[Side]) -> ImageQuery:
         """Return the search of an image: for what the other image of its time shows if that was
         corrected, else of both together for the nearest correction."""
-        assert self._position is not None
         other = Pane(pane.frame_index, other_side(pane.side))
         beside = self._placed(other)
         if beside is not None:

@@ -52,14 +52,8 @@ class FilmstripRequests:
         session = self._shared.session
         with self._shared.lock:
             labels = session.labels
-        is_line = labels.classes[labels.element(request.element_id).class_id].kind == "line"
-        sides = session.tracks.cameras.sides
-        if any(
-            each.pane.side not in sides or (each.mark.end_px is not None) != is_line
-            for each in corrected
-        ):
-            raise RefusedError("invalid", "a corrected mark does not fit its element or image")
         row = CorrectedRow(request.element_id, corrected, labels, session.tracks.cameras)
+        row.check()
         self._shared.search_thread.submit(self._follow, request, row)
 
     def _follow(

@@ -1,6 +1,7 @@
 """A mark that was corrected in the filmstrip is followed into the other images of its row."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from semviz_annotation.assist.marked_image import Mark
 from semviz_annotation.labels.labels import LabelElement, Labels, Observation, new_id, proposal_id
 from semviz_annotation.labels.rows import Dismissal
 from semviz_core.base.frame import Side
+from semviz_core.common.errors import SemvizError
 
 SEED, FRAMES, KEY_FRAMES, STRIP = 7, 8, (0, 4), (1, 2, 3)
 OFF_PX = np.array([3.0, 0.0])
@@ -113,7 +115,7 @@ def test_what_is_labelled_or_rejected_meanwhile_is_not_proposed(worker: ImageWor
     assert row.view(3, worker) is None
 
 
-def test_an_element_whose_place_is_unknown_is_not_proposed(worker: ImageWorker) -> None:
+def test_an_element_whose_place_is_unknown_is_told() -> None:
     number = whole_everywhere()[0]
     labels = labels_off(number)
     rows = [
@@ -121,4 +123,16 @@ def test_an_element_whose_place_is_unknown_is_not_proposed(worker: ImageWorker) 
         for row in labels.rows()
         if not isinstance(row, Observation) or (row.frame_index, row.side) == (0, "left")
     ]
-    assert row_of(number, labels.with_rows(rows), (0, "left")).view(3, worker) is None
+    with pytest.raises(SemvizError, match="no common position"):
+        row_of(number, labels.with_rows(rows), (0, "left")).check()
+
+
+def test_a_mark_dragged_to_where_its_element_cannot_be_stays_there(worker: ImageWorker) -> None:
+    number = whole_everywhere()[0]
+    row = row_of(number, labels_off(number), (2, "left"))
+    far = tuple(
+        LabelledPane(each.pane, moved(each.mark, np.array([-60.0, 20.0]))) for each in row.corrected
+    )
+    view = replace(row, corrected=far).view(2, worker)
+    assert view is not None
+    assert view.marks["left"].anchor == far[0].mark.anchor_px
