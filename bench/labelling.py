@@ -4,6 +4,7 @@
     python bench/labelling.py --detector own        after 'semviz detect'
     python bench/labelling.py --detector simulated  one as good as the paper's
     python bench/labelling.py --every-frame         without key frames and the filmstrip
+    python bench/labelling.py --each --tremor 0     what each input was for; a hand that hits all
     python bench/labelling.py --kitti /data/kitti   real images too: KITTI 02 with our own labels
 
 The script labels every pole and sign up to 40 m ahead that is visible in both images, by the
@@ -23,7 +24,8 @@ drawing, before each correction and once a frame.
 import argparse
 import subprocess
 import tempfile
-from collections import Counter
+from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,7 +33,7 @@ from typing import Any
 import numpy as np
 from drives import KITTI_FRAMES, SIDES, Drive, KittiDrive, StreetDrive
 from labelling_driver import Labeller
-from labelling_hand import Spent
+from labelling_hand import TREMOR_CSS_PX, Work
 from labelling_truth import RIGHT_PX, errors_px, flags_right
 from playwright.sync_api import Page, sync_playwright
 
@@ -81,6 +83,15 @@ def simulated_proposals(workspace: Workspace, seed: int) -> None:
 
 
 @dataclass(frozen=True)
+class Way:
+    """How the script labels."""
+
+    stride: int
+    """Of key frames; 1: every frame, without the filmstrip."""
+    tremor_css_px: float
+
+
+@dataclass(frozen=True)
 class Outcome:
     """What labelling a drive cost, and what came out."""
 
@@ -95,7 +106,7 @@ class Outcome:
 
 
 def run_street(
-    seed: int, folder: Path, browser: Any, detector: str, model: str | None, stride: int
+    seed: int, folder: Path, browser: Any, detector: str, model: str | None, way: Way
 ) -> Outcome:
     workspace = Workspace.create_street(folder / f"street-{seed}", seed, range(FRAMES))
     if detector == "simulated":
@@ -103,15 +114,13 @@ def run_street(
     elif detector == "own":
         which = [] if model is None else ["--model", model]
         subprocess.run(["semviz", "detect", str(workspace.path), *which], check=True)
-    return run(workspace, StreetDrive(workspace.street), FRAMES, browser, seed, stride)
+    return run(workspace, StreetDrive(workspace.street), FRAMES, browser, seed, way)
 
 
-def run_kitti(
-    kitti: Path, frames: int, folder: Path, browser: Any, hand: int, stride: int
-) -> Outcome:
+def run_kitti(kitti: Path, frames: int, folder: Path, browser: Any, hand: int, way: Way) -> Outcome:
     path = folder / f"kitti-02-{hand}"
     workspace = Workspace.create_kitti(path, kitti, "02", (2, 3), KITTI_FRAMES[:frames])
-    return run(workspace, KittiDrive.of(kitti), frames, browser, hand, stride)
+    return run(workspace, KittiDrive.of(kitti), frames, browser, hand, way)
 
 
 def label_all(page: Page, labeller: Labeller, frames: int, stride: int) -> None:
@@ -131,7 +140,7 @@ def label_all(page: Page, labeller: Labeller, frames: int, stride: int) -> None:
 
 
 def run(
-    workspace: Workspace, drive: Drive, frames: int, browser: Any, seed: int, stride: int
+    workspace: Workspace, drive: Drive, frames: int, browser: Any, seed: int, way: Way
 ) -> Outcome:
     annotator = Annotator(workspace, author="script")
     try:
@@ -142,8 +151,8 @@ def run(
             page.goto(url)
             page.wait_for_selector("#saved.saved")
             page.keyboard.press("f")  # the 3D pane: slow without a graphics card
-            labeller = Labeller(page, annotator, drive, seed)
-            label_all(page, labeller, frames, stride)
+            labeller = Labeller(page, annotator, drive, seed, way.tremor_css_px)
+            label_all(page, labeller, frames, way.stride)
             said = page.get_attribute("#effort", "title") or ""
             page.close()
         made = annotator.session.labels
@@ -153,17 +162,23 @@ def run(
         annotator.close()
 
 
-def print_causes(spent: list[Spent], labels: int) -> None:
-    """What the inputs were for, the dearest first."""
-    inputs: Counter[str] = Counter()
-    times: Counter[str] = Counter()
-    for step in spent:
-        inputs[step.cause] += step.inputs
-        times[step.cause] += step.inputs > 0
-    print(f"{'inputs for':50s} times  inputs  each observation")
-    for cause, count in inputs.most_common():
-        if count:
-            print(f"  {cause:48s} {times[cause]:5d} {count:7d} {count / labels:10.3f}")
+def print_causes(works: Sequence[Work], labels: int) -> None:
+    """What the inputs were for, the dearest first: in all, of first and of later sightings, of
+    poles, of signs and of whole frames."""
+    counts: dict[str, Counter[str]] = defaultdict(Counter)
+    for work in works:
+        for step in work.spent:
+            of = "frame" if step.class_id is None else DEFAULT_CLASSES[step.class_id].kind
+            when = "first" if work.is_first(step) else "later"
+            for column in ("inputs", when, of):
+                counts[step.cause][column] += step.inputs
+            counts[step.cause]["times"] += step.inputs > 0
+    columns = ("times", "inputs", "first", "later", "line", "point", "frame")
+    print(f"{'inputs for':46s}{''.join(f'{each:>7s}' for each in columns)}  each observation")
+    for cause, row in sorted(counts.items(), key=lambda each: -each[1]["inputs"]):
+        if row["inputs"]:
+            shown = "".join(f"{row[each]:7d}" for each in columns)
+            print(f"  {cause:44s}{shown} {row['inputs'] / labels:10.3f}")
 
 
 def print_outcome(outcome: Outcome) -> None:
@@ -179,7 +194,7 @@ def print_outcome(outcome: Outcome) -> None:
     for class_id, each in sorted(outcome.errors_px.items()):
         share = np.mean([error <= RIGHT_PX for error in each])
         print(f"  {DEFAULT_CLASSES[class_id].name:<17} {len(each):>4}: {share:.1%}")
-    first, later = outcome.labeller.inputs_by_sighting()
+    first, later = outcome.labeller.work.inputs_by_sighting()
     print(f"  inputs for a first sighting {first:.2f} (goal 2.5), a later one {later:.2f} (0.2)")
     print(f"  keys: {dict(work.pressed)}")
     ends = outcome.ends_right
@@ -198,23 +213,26 @@ def main() -> None:
     parser.add_argument("--each", action="store_true", help="what each input was for")
     parser.add_argument("--frames", type=int, default=len(KITTI_FRAMES), help="of KITTI 02")
     parser.add_argument("--every-frame", action="store_true", help="without the filmstrip")
+    parser.add_argument(
+        "--tremor", type=float, default=TREMOR_CSS_PX, help="error of a click, CSS pixels; 0: none"
+    )
     parser.add_argument("--hands", type=int, default=4, help="that label KITTI 02")
     parser.add_argument("--kitti", type=Path, help="folder of KITTI odometry: label 02 as well")
     arguments = parser.parse_args()
     outcomes: list[Outcome] = []
-    stride = 1 if arguments.every_frame else STRIDE
+    way = Way(1 if arguments.every_frame else STRIDE, arguments.tremor)
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as name:
         browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=CHROMIUM)
         folder = Path(name)
         for seed in arguments.seeds:
             outcomes.append(
-                run_street(seed, folder, browser, arguments.detector, arguments.model, stride)
+                run_street(seed, folder, browser, arguments.detector, arguments.model, way)
             )
             print_outcome(outcomes[-1])
         if arguments.kitti is not None:
             for hand in range(arguments.hands):
                 of = arguments.kitti, arguments.frames, folder, browser
-                outcomes.append(run_kitti(*of, hand, stride))
+                outcomes.append(run_kitti(*of, hand, way))
                 print_outcome(outcomes[-1])
     if arguments.each:
         for step in [step for outcome in outcomes for step in outcome.labeller.work.spent]:
@@ -230,12 +248,12 @@ def print_sum(outcomes: list[Outcome]) -> None:
     inputs, least = sum(step.inputs for step in spent), sum(work.least for work in works)
     print(f"all: {inputs / labels:.3f} inputs per observation (goal 0.2); ", end="")
     print(f"the first drawings and the frames' keys alone {least / labels:.3f}")
-    sightings = [outcome.labeller.inputs_by_sighting() for outcome in outcomes]
+    sightings = [outcome.labeller.work.inputs_by_sighting() for outcome in outcomes]
     first, later = np.mean(sightings, axis=0)
     print(f"mean of the drives: a first sighting {first:.2f} (2.5), a later one {later:.2f} (0.2)")
     minutes = sum(work.seconds for work in works) / (labels / 2) * 1000 / 60
     print(f"1,000 stereo observations: {minutes:.1f} min (goal 20)")
-    print_causes(spent, labels)
+    print_causes(works, labels)
 
 
 if __name__ == "__main__":

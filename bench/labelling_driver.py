@@ -25,13 +25,17 @@ from semviz_annotation.labels.labels import Labels, Observation
 from semviz_core.base.frame import Side
 
 CLOSE_M, MARGIN_CSS_PX = 35.0, 8.0
+DRAWN_OVER_PX = 6.0
+"""A drawing this near to a weak proposal surely joins its element."""
 
 
 class Labeller(Hand):
     """Labels a drive through the page."""
 
-    def __init__(self, page: Page, annotator: Annotator, drive: Drive, seed: int) -> None:
-        super().__init__(page, seed)
+    def __init__(
+        self, page: Page, annotator: Annotator, drive: Drive, seed: int, tremor_css_px: float
+    ) -> None:
+        super().__init__(page, seed, tremor_css_px)
         self.annotator = annotator
         self.drive = drive
         self.labelled: set[int] = set()
@@ -41,8 +45,6 @@ class Labeller(Hand):
         frame's key takes them."""
         self.unclear: set[int] = set()
         """Elements whose drawing had to be corrected."""
-        self.sightings: list[tuple[int, int]] = []
-        """Frame and element of what was to be labelled, or was labelled all the same."""
 
     def label(self, frame: int) -> None:
         """One frame: proposals first, then what is missing; then on to the next."""
@@ -125,7 +127,7 @@ class Labeller(Hand):
             for mark in truth.marks
             if len(self.lacking(frame, truth, mark)) < len(truth.marks[mark])
         }
-        self.sightings += [(frame, element) for element in sorted(here | set(truth.wanted))]
+        self.work.sightings += [(frame, element) for element in sorted(here | set(truth.wanted))]
         self.labelled |= here
 
     def finish(self, frame: int, truth: Truth) -> None:
@@ -139,6 +141,7 @@ class Labeller(Hand):
     def judge(self, frame: int, truth: Truth) -> None:
         """Turns down what is sure but wrong; it stays selected, and is drawn anew next.
 
+        What is wrong but about an element that is drawn next stays: the drawing takes its place.
         What is weak but right is left to the frame's key, once the weak that is wrong is turned
         down; or accepted one by one, if that takes fewer keys.
         """
@@ -156,12 +159,12 @@ class Labeller(Hand):
                 self.turn_down(frame, offer, "weak and wrong")
         for offer, element in weak.values():
             if element not in self.taken and self.lacking(frame, truth, element):
-                with self.work.on("weak but right", frame, told(offer), element):
+                with self.work.on("weak but right", frame, told(offer), element, offer.class_id):
                     self.point_at(offer)
                     self.key(" ")
 
     def turn_down(self, frame: int, offer: ProposalView, cause: str) -> None:
-        with self.work.on(cause, frame, told(offer)):
+        with self.work.on(cause, frame, told(offer), class_id=offer.class_id):
             self.point_at(offer)
             self.key("x")
 
@@ -179,9 +182,18 @@ class Labeller(Hand):
             element = self.meant(offer, truth)
             if element is not None and self.lacking(frame, truth, element):
                 right[offer.id] = offer, element
-            elif offer.id in found:
+            elif offer.id in found and not self.is_drawn_over(frame, truth, offer):
                 wrong.append(offer)
         return right, wrong
+
+    def is_drawn_over(self, frame: int, truth: Truth, offer: ProposalView) -> bool:
+        """Whether an element is drawn next where it is wrongly proposed."""
+        return any(
+            truth.class_id[element] == offer.class_id
+            and is_about(offer, truth, element, DRAWN_OVER_PX)
+            and set(offer.marks) & set(self.lacking(frame, truth, element))
+            for element in truth.wanted
+        )
 
     def found(self) -> set[str]:
         """Ids of the proposals that the key for all takes."""
@@ -194,7 +206,7 @@ class Labeller(Hand):
         cause = "drawn again: " + self.why_again(frame, truth, element) if again else FIRST
         about = f"{truth.named(element)}, {side}"
         before = set(self.labels.in_frame(frame, side))  # a drawing may also move a label
-        with self.work.on(cause, frame, about, element):
+        with self.work.on(cause, frame, about, element, truth.class_id[element]):
             self.set_points(frame, truth, element, side)
         new = [row for row in self.labels.in_frame(frame, side) if row not in before]
         if not new:
@@ -279,7 +291,7 @@ class Labeller(Hand):
         if np.isfinite(marks[1]).all():
             peak_known, bottom_known = truth.known[element][side]
             keys = self.drive.tells_hidden
-            with self.work.on("keys for hidden ends", frame, element=element):
+            with self.work.on("keys for hidden ends", frame, "", element, truth.class_id[element]):
                 if (
                     keys and not peak_known and not self.is_at_border(marks[0])
                 ):  # there the page knows
@@ -296,7 +308,7 @@ class Labeller(Hand):
         error of a pixel is seen."""
         anchor, end = truth.marks[element][side]
         point = anchor + self.hand.uniform(0.3, 0.7) * (end - anchor)
-        self.page.mouse.move(*self.on_screen(side, point, self.hand))
+        self.page.mouse.move(*self.on_screen(side, point, trembles=True))
         self.page.wait_for_function("() => !semviz.tools.ghosts.isBusy")
         ghost = self.page.evaluate("semviz.state.ghost")
         if ghost is None or ghost["side"] != side:
@@ -344,8 +356,8 @@ class Labeller(Hand):
         self.work.thoughts += 1
         self.unclear.add(element)
         ends = [(row.anchor_px, marks[0])] + ([(row.end_px, marks[1])] if row.end_px else [])
-        about = f"{truth.named(element)}, {side}"
-        with self.work.on("drawings corrected", row.frame_index, about, element):
+        about, class_id = f"{truth.named(element)}, {side}", truth.class_id[element]
+        with self.work.on("drawings corrected", row.frame_index, about, element, class_id):
             for drawn, true in ends:
                 if np.hypot(*np.subtract(true, drawn)) <= RIGHT_PX / 2.0:
                     continue
@@ -371,21 +383,6 @@ class Labeller(Hand):
             ids = self.page.evaluate(f"({shown})(semviz.state).map((one) => one.id)")
             self.page.locator("#elements .row").nth(ids.index(offer.id)).click()
             self.work.clicks += 1
-
-    def inputs_by_sighting(self) -> tuple[float, float]:
-        """Return inputs for each element's first sighting, and for each later one, which bear all
-        that is for no single element."""
-        firsts: dict[int, int] = {}
-        for frame, element in self.sightings:
-            firsts.setdefault(element, frame)
-        first = sum(
-            step.inputs
-            for step in self.work.spent
-            if step.element is not None and firsts.get(step.element) == step.frame
-        )
-        later = self.work.inputs - first
-        count = len(self.sightings) - len(firsts)
-        return first / max(len(firsts), 1), later / max(count, 1)
 
     # -- what there is
 

@@ -65,32 +65,50 @@ class FilmstripHand:
         They are taken together if fewer of them are wrong than right: by that key, or marked first
         if some are to be left out.
         """
-        cells, work = self.cells(), self.labeller.work
+        corrected, work = self.correct_all(), self.labeller.work
+        cells = [cell for cell in self.cells() if cell.key not in corrected]
         weak = [cell for cell in cells if not cell.is_taken]
         right = [cell for cell in weak if cell.element is not None]
         takes_weak = len(right) >= max(len(weak) - len(right), 1)
-        marks_first = takes_weak and any(self.is_useless(cell) for cell in weak)
+        marks_first = takes_weak and any(cell.element is None for cell in weak)
         if marks_first:
             with work.on("strip: weak but right", cells[0].frame):
                 self.labeller.key("Shift+G")
         for cell in cells:
             is_accepted = cell.is_taken or takes_weak
-            if cell.element is None and (element := self.lacked(cell)) is not None:
-                self.correct(cell, element)
-            elif is_accepted == (cell.element is None):
+            if is_accepted == (cell.element is None):
                 cause = "strip: sure but wrong" if cell.is_taken else "strip: weak and wrong"
                 cause = cause if is_accepted else "strip: weak but right"
                 with work.on(
                     cause,
                     cell.frame,
                     f"{cell.offer.name} {why_wrong(cell.offer, self.truths[cell.frame])}",
+                    class_id=cell.offer.class_id,
                 ):
                     self.click(cell)
         return takes_weak and not marks_first
 
-    def is_useless(self, cell: Cell) -> bool:
-        """Whether a proposal is right for nothing, and meant for nothing to be labelled."""
-        return cell.element is None and self.lacked(cell) is None
+    def correct_all(self) -> set[str]:
+        """Drag what is off, and return the keys of these cells. What follows a correction of its
+        row is looked at again after that."""
+        corrected: set[str] = set()
+        while wrong := self.first_wrong(corrected):
+            self.correct(*wrong)
+            corrected.add(wrong[0].key)
+        return corrected
+
+    def first_wrong(self, corrected: set[str]) -> tuple[Cell, int] | None:
+        """The first cell, frame by frame, that is off and was not corrected, and what it means."""
+        for cell in self.cells():
+            if cell.key not in corrected and cell.element is None:
+                element = self.lacked(cell)
+                if element is not None:
+                    return cell, element
+        return None
+
+    def now(self, key: str) -> Cell | None:
+        """A cell as it is after the corrections so far: they are followed along its row."""
+        return next((cell for cell in self.cells() if cell.key == key), None)
 
     def cells(self) -> list[Cell]:
         shown = self.labeller.page.evaluate(
@@ -120,14 +138,17 @@ class FilmstripHand:
         return None
 
     def correct(self, cell: Cell, element: int) -> None:
-        """Drags what is off to where it belongs; the cell is taken then."""
+        """Drags what is off to where it belongs; the cell is taken then, and the other images
+        follow."""
         truth = self.truths[cell.frame]
         why = why_wrong(cell.offer, truth)
         self.labeller.work.thoughts += 1
         about = f"{cell.offer.name}: {why}"
-        with self.labeller.work.on("strip: corrected", cell.frame, about, element):
+        with self.labeller.work.on(
+            "strip: corrected", cell.frame, about, element, cell.offer.class_id
+        ):
             for side in SIDES:
-                mark = cell.offer.marks.get(side)
+                mark = (self.now(cell.key) or cell).offer.marks.get(side)
                 if mark is None or side not in truth.marks[element]:
                     continue
                 if truth.is_right(element, side, mark.anchor, mark.end) and truth.are_ends_right(
@@ -144,27 +165,37 @@ class FilmstripHand:
         """Drags a sign, a pole as a whole, or its ends if one drag does not do."""
         moves = [to - now for now, to in places]
         common = np.mean(moves, axis=0)
-        if all(np.abs(move - common).max() < RIGHT_PX / 2.0 for move in moves):
-            now = np.mean([now for now, _ in places], axis=0)
+        is_common = all(np.abs(move - common).max() < RIGHT_PX / 2.0 for move in moves)
+        now = np.mean([now for now, _ in places], axis=0)
+        if is_common and self.is_seen(cell, side, now, now + common):
             self.one_drag(cell, side, now, now + common)
             return
-        _, crop = self.canvas(cell, side)
         for now, to in places:
-            on_screen = np.subtract(self.on_crop(crop, to), self.on_crop(crop, now))
-            if np.linalg.norm(to - now) > RIGHT_PX / 2.0 and np.hypot(*on_screen) > LEAST_DRAG:
+            if np.linalg.norm(to - now) > RIGHT_PX / 2.0 and self.is_seen(cell, side, now, to):
                 self.one_drag(cell, side, now, to)
 
+    def is_seen(self, cell: Cell, side: str, now: np.ndarray, to: np.ndarray) -> bool:
+        """Whether a mark is visibly off."""
+        _, crop = self.canvas(cell, side)
+        on_screen = np.subtract(self.on_crop(crop, to), self.on_crop(crop, now))
+        return bool(np.hypot(*on_screen) > LEAST_DRAG)
+
     def one_drag(self, cell: Cell, side: str, now: np.ndarray, to: np.ndarray) -> None:
-        hand = self.labeller
-        hand.work.clicks += 2
-        box, crop = self.canvas(cell, side)
-        start, stop = (np.array(self.on_crop(crop, point)) for point in (now, to))
-        stop = stop + hand.tremor()
-        mouse = hand.page.mouse
-        mouse.move(box["x"] + start[0], box["y"] + start[1])
-        mouse.down()
-        mouse.move(box["x"] + stop[0], box["y"] + stop[1], steps=4)
-        mouse.up()
+        """Drags again if that was so short that it took or left out the cell."""
+        hand, mark = self.labeller, cell.offer.marks[side].id
+        placed = f"JSON.stringify(semviz.filmstrip.placed.get('{mark}'))"
+        before = hand.page.evaluate(placed)
+        while hand.page.evaluate(placed) == before:
+            hand.work.clicks += 2
+            box, crop = self.canvas(cell, side)
+            start, stop = (np.array(self.on_crop(crop, point)) for point in (now, to))
+            stop = stop + hand.tremor()
+            mouse = hand.page.mouse
+            mouse.move(box["x"] + start[0], box["y"] + start[1])
+            mouse.down()
+            mouse.move(box["x"] + stop[0], box["y"] + stop[1], steps=4)
+            mouse.up()
+        self.wait()
 
     def click(self, cell: Cell) -> None:
         self.labeller.work.clicks += 1

@@ -28,6 +28,8 @@ class Spent:
     """What it was, for people who look into it."""
     element: int | None = None
     """The element that it was for."""
+    class_id: int | None = None
+    """Of what it was for; None for a whole frame."""
 
 
 @dataclass
@@ -41,6 +43,8 @@ class Work:
     thoughts: int = 0
     spent: list[Spent] = field(default_factory=list)
     pressed: Counter[str] = field(default_factory=Counter)
+    sightings: list[tuple[int, int]] = field(default_factory=list)
+    """Frame and element of what was to be labelled, or was labelled all the same."""
 
     @property
     def inputs(self) -> int:
@@ -56,22 +60,44 @@ class Work:
         moves = (self.clicks + self.points) * POINT_S
         return self.keys * KEY_S + self.clicks * CLICK_S + moves + self.thoughts * THINK_S
 
+    def is_first(self, step: Spent) -> bool:
+        """Whether inputs were for the first sighting of an element, in either image."""
+        return step.element is not None and self.firsts.get(step.element) == step.frame
+
+    @property
+    def firsts(self) -> dict[int, int]:
+        """The frame of each element's first sighting."""
+        return {element: frame for frame, element in reversed(self.sightings)}
+
+    def inputs_by_sighting(self) -> tuple[float, float]:
+        """Return inputs for each element's first sighting, and for each later one, which bear all
+        that is for no single element."""
+        first = sum(step.inputs for step in self.spent if self.is_first(step))
+        later, firsts = self.inputs - first, len(self.firsts)
+        return first / max(firsts, 1), later / max(len(self.sightings) - firsts, 1)
+
     @contextmanager
     def on(
-        self, cause: str, frame: int, about: str = "", element: int | None = None
+        self,
+        cause: str,
+        frame: int,
+        about: str = "",
+        element: int | None = None,
+        class_id: int | None = None,
     ) -> Iterator[None]:
         """What is done within it is for ``cause``, but for what has a cause of its own there."""
         before = self.inputs - sum(step.inputs for step in self.spent)
         yield
         inputs = self.inputs - sum(step.inputs for step in self.spent) - before
-        self.spent.append(Spent(cause, inputs, frame, about, element))
+        self.spent.append(Spent(cause, inputs, frame, about, element, class_id))
 
 
 class Hand:
     """Presses keys, and moves the mouse, which trembles."""
 
-    def __init__(self, page: Page, seed: int) -> None:
+    def __init__(self, page: Page, seed: int, tremor_css_px: float) -> None:
         self.page = page
+        self.tremor_css_px = tremor_css_px
         self.hand = np.random.default_rng(seed)
         self.work = Work()
         self.zoomed_for: tuple[int, int] | None = None
@@ -93,7 +119,7 @@ class Hand:
         if not snapped:
             self.key("m")
         self.page.keyboard.down("Shift")  # draws, even where something is
-        self.page.mouse.click(*self.on_screen(side, pixel, self.hand))
+        self.page.mouse.click(*self.on_screen(side, pixel, trembles=True))
         self.page.keyboard.up("Shift")
         if not snapped:
             self.key("m")
@@ -123,25 +149,25 @@ class Hand:
         self.work.clicks += 2
         self.page.mouse.move(*self.on_screen(side, start))
         self.page.mouse.down()
-        self.page.mouse.move(*self.on_screen(side, end, self.hand), steps=4)
+        self.page.mouse.move(*self.on_screen(side, end, trembles=True), steps=4)
         self.page.mouse.up()
         self.saved()
 
     def tremor(self) -> np.ndarray:
         """How far a hand misses, CSS px."""
-        return self.hand.normal(0.0, TREMOR_CSS_PX, 2)
+        return self.hand.normal(0.0, self.tremor_css_px, 2)
 
     def on_screen(
-        self, side: Side, pixel: np.ndarray, hand: np.random.Generator | None = None
+        self, side: Side, pixel: np.ndarray, trembles: bool = False
     ) -> tuple[float, float]:
-        """Where a pixel is; where ``hand`` hits that means it."""
+        """Where a pixel is; or where a hand hits that means it."""
         canvas = self.page.locator(f"#{side}-image canvas.marks")
         box = canvas.bounding_box()
         assert box is not None
         scale, x, y = map(float, (canvas.get_attribute("data-view") or "").split())
         u, v = (pixel + 0.5) * scale + [x, y]
-        if hand is not None:
-            u, v = np.array([u, v]) + hand.normal(0.0, TREMOR_CSS_PX, 2)
+        if trembles:
+            u, v = np.array([u, v]) + self.tremor()
         return box["x"] + u, box["y"] + v
 
     def saved(self) -> None:

@@ -145,10 +145,10 @@ def errors_px(labels: Labels, drive: Drive) -> dict[int, list[float]]:
     return errors
 
 
-def is_about(offer: ProposalView, truth: Truth, element: int) -> bool:
+def is_about(offer: ProposalView, truth: Truth, element: int, near_px: float = NEAR_PX) -> bool:
     """Whether a proposal lies near an element, of whatever class, in one of the images."""
     return any(
-        error_px((offer.marks[side].anchor, offer.marks[side].end), marks) < NEAR_PX
+        error_px((offer.marks[side].anchor, offer.marks[side].end), marks) < near_px
         for side, marks in truth.marks[element].items()
         if side in offer.marks
     )

@@ -52,7 +52,7 @@ def nearby_elements(
     out.
     """
     known = set(expected)
-    sides: tuple[Side, ...] = ("left",) if cameras.rig.right is None else ("left", "right")
+    sides = cameras.sides
     views = {side: cameras.view(frame_index, side) for side in sides}
     is_posed = cameras.T_map_camera[frame_index] is not None
     nearby = []

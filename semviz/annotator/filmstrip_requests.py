@@ -1,8 +1,9 @@
-"""Handle the requests of a page's filmstrip: search frames beside that on screen."""
+"""Handle the requests of a page's filmstrip: search frames beside that on screen, follow drags."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from semviz.annotator import filmstrip_messages, messages
+from semviz.annotator.filmstrip_corrections import CorrectedRow
 from semviz.annotator.proposal_views import ProposalView
 from semviz.annotator.services import SearchServices
 from semviz.web import protocol
@@ -22,9 +23,7 @@ class FilmstripRequests:
 
     @protocol.handles(filmstrip_messages.SearchFilmstripRequest)
     def _search_filmstrip(self, request: filmstrip_messages.SearchFilmstripRequest) -> None:
-        unknown = [index for index in request.frames if index not in self._shared.session.frames]
-        if unknown:
-            raise RefusedError("not_found", f"frame {unknown[0]} is not in this sequence")
+        self._check_frames(request.frames)
         self._wanted = request.id
         self._shared.search_thread.submit(self._search, request)
 
@@ -45,6 +44,41 @@ class FilmstripRequests:
                     reply_to=request.id, frame=index, proposals=_of_elements(proposals, index)
                 )
             )
+
+    @protocol.handles(filmstrip_messages.FollowCorrectionsRequest)
+    def _follow_corrections(self, request: filmstrip_messages.FollowCorrectionsRequest) -> None:
+        corrected = tuple(mark.labelled for mark in request.corrected)
+        self._check_frames([*request.frames, *(each.pane.frame_index for each in corrected)])
+        session = self._shared.session
+        with self._shared.lock:
+            labels = session.labels
+        row = CorrectedRow(request.element_id, corrected, labels, session.tracks.cameras)
+        row.check()
+        self._shared.search_thread.submit(self._follow, request, row)
+
+    def _follow(
+        self, request: filmstrip_messages.FollowCorrectionsRequest, row: CorrectedRow
+    ) -> None:
+        worker = self._shared.session.image_worker
+        views = {index: row.view(index, worker) for index in request.frames}
+        cells = [
+            filmstrip_messages.FilmstripCell(frame=index, proposal=view)
+            for index, view in views.items()
+            if view is not None
+        ]
+        self._send(
+            filmstrip_messages.FilmstripRowEvent(
+                reply_to=request.id,
+                element_id=request.element_id,
+                frames=request.frames,
+                cells=cells,
+            )
+        )
+
+    def _check_frames(self, frames: Sequence[int]) -> None:
+        unknown = [index for index in frames if index not in self._shared.session.frames]
+        if unknown:
+            raise RefusedError("not_found", f"frame {unknown[0]} is not in this sequence")
 
 
 def _of_elements(proposals: list[ProposalView], index: int) -> list[ProposalView]:

@@ -18,7 +18,12 @@ from semviz.annotator.drive_view import (
     ShowDriveFrameRequest,
     ShowDriveRequest,
 )
-from semviz.annotator.filmstrip_messages import FilmstripEvent, SearchFilmstripRequest
+from semviz.annotator.filmstrip_messages import (
+    FilmstripEvent,
+    FilmstripRowEvent,
+    FollowCorrectionsRequest,
+    SearchFilmstripRequest,
+)
 from semviz.annotator.history import PastFrame
 from semviz.annotator.map_review import ReviewEntry, ReviewList
 from semviz.annotator.panes import SecondImage
@@ -249,6 +254,7 @@ AnnotatorRequest: TypeAlias = Annotated[
     | track_messages.SearchTrackRequest
     | track_messages.PreviewReSnapRequest
     | SearchFilmstripRequest
+    | FollowCorrectionsRequest
     | ShowDriveRequest
     | ShowDriveFrameRequest
     | pose_views.ShowPosesRequest
@@ -416,6 +422,7 @@ AnnotatorEvent: TypeAlias = (
     | track_messages.TrackProposalsEvent
     | track_messages.ReSnapEvent
     | FilmstripEvent
+    | FilmstripRowEvent
     | people_view.PeopleEvent
     | blind_views.TeamEvent
     | blind_views.ComparedEvent

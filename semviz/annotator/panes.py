@@ -38,6 +38,11 @@ class Cameras:
         self._depths: dict[Pane, FloatArray] = {}
         """(4,) depth in an image over its focal length, of homogeneous points in the map frame."""
 
+    @property
+    def sides(self) -> tuple[Side, ...]:
+        """The images of a frame."""
+        return ("left",) if self.rig.right is None else ("left", "right")
+
     def T_camera_map(self, frame_index: int) -> Pose | None:  # noqa: N802 - the frames' names
         """Return the pose of a frame's left camera; None if it is unknown."""
         pose = self.T_map_camera[frame_index]

@@ -132,6 +132,67 @@ def test_a_drag_in_a_cut_out_corrects_the_mark_and_takes_it(page: "Page", served
     assert moved == pytest.approx([5.0, 0.0], abs=0.5)
 
 
+def test_what_is_dragged_is_followed_into_the_other_images_of_its_row(page: "Page") -> None:
+    shown = cells(page)
+    rows = [cell["id"] for cell in shown if len(cell["marks"]) == 2]
+    row = next(id for id in rows if rows.count(id) == 3)
+    cell = next(cell for cell in shown if cell["id"] == row and cell["frame"] == 2)
+    order = page.evaluate("semviz.filmstrip.grid.rows.map(({ id }) => id)")
+    others = [
+        (one["key"], side)
+        for one in shown
+        for side in one["marks"]
+        if one["id"] == row and (one["key"], side) != (cell["key"], "left")
+    ]
+    page.evaluate(
+        """([key, by]) => {
+            const { filmstrip } = semviz, cell = filmstrip.cell(key);
+            const { anchor, end, ...known } = cell.proposal.marks.left;
+            const moved = (point) => point && [point[0] + by, point[1]];
+            filmstrip.place(cell, "left", { ...known, anchor: moved(anchor), end: moved(end) });
+        }""",
+        [cell["key"], 6.0],
+    )
+    assert page.evaluate("semviz.filmstrip.isSearching")  # nothing is accepted meanwhile
+    page.wait_for_function("() => !semviz.filmstrip.isSearching", timeout=WAIT_MS)
+    now = {one["key"]: one for one in cells(page)}
+    placed = np.subtract(
+        now[cell["key"]]["marks"]["left"]["anchor"], cell["marks"]["left"]["anchor"]
+    )
+    assert placed == pytest.approx([6.0, 0.0])
+    before = {one["key"]: one for one in shown}
+    moves = [
+        np.subtract(now[key]["marks"][side]["anchor"], before[key]["marks"][side]["anchor"])[0]
+        for key, side in others
+        if key in now and side in now[key]["marks"]
+    ]
+    assert len(moves) == 5
+    assert np.median(moves) > 2.0
+    unmoved = [one for one in shown if one["id"] != row]
+    assert all(now[one["key"]]["marks"] == one["marks"] for one in unmoved)
+    assert page.evaluate("semviz.filmstrip.grid.rows.map(({ id }) => id)") == order
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [({"frame": 99}, "not_found"), ({"end": [9.0, 9.0]}, "invalid"), ({"anchor": None}, "invalid")],
+)
+def test_a_correction_that_cannot_be_is_refused(
+    change: dict[str, Any], code: str, page: "Page"
+) -> None:
+    sign = next(
+        cell for cell in cells(page) if cell["marks"].get("left", {"end": 1})["end"] is None
+    )
+    mark = sign["marks"]["left"]
+    names = ("frame", "side", "anchor", "end", "anchor_known", "end_known")
+    corrected = {name: mark[name] for name in names} | change
+    refused = page.evaluate(
+        "(fields) => semviz.socket.request('follow_corrections', fields).catch((e) => e.code)",
+        {"element_id": sign["id"], "frames": [1], "corrected": [corrected]},
+    )
+    assert refused == code
+
+
 def test_the_strip_is_used_by_keys_alone(page: "Page", served: Served) -> None:
     before = served.labels
     first = cells(page)[0]

@@ -37,6 +37,9 @@ export class Filmstrip {
     this.takesWeak = false; // whether weak ones are taken unless somebody said no
     /** @type {Map<string, CropMark>} */
     this.placed = new Map(); // corrected marks, by their id
+    this.following = 0; // rows that are searched anew after a correction
+    /** @type {Set<string>} */
+    this.doubtful = new Set(); // elements that had a weak mark at first: their rows stay on top
     /** @type {string | null} */
     this.chosen = null; // the cell that keys act on
     this.isWanted = false; // the strip waits for saved edits before it is searched
@@ -44,7 +47,8 @@ export class Filmstrip {
     this.goesTo = null; // the frame that follows the strip
     this.grid = new FilmstripGrid(this);
     page.socket.on("filmstrip", (event) => this.#received(event));
-    page.socket.on("workspace", () => { this.isWanted ||= this.isSearching; }); // connected again: the search goes on
+    page.socket.on("filmstrip_row", (event) => this.#followed(event));
+    page.socket.on("workspace", () => { this.isWanted ||= this.found.size < this.frames.length; }); // connected again: the search goes on
   }
 
   get isShown() {
@@ -52,7 +56,7 @@ export class Filmstrip {
   }
 
   get isSearching() {
-    return this.found.size < this.frames.length;
+    return this.found.size < this.frames.length || this.following > 0;
   }
 
   /** Commands for `Keys`.
@@ -151,6 +155,7 @@ export class Filmstrip {
     this.answers.clear();
     this.takesWeak = false;
     this.placed.clear();
+    this.doubtful.clear();
   }
 
   /** Redraws; called whenever the state of the page changes. */
@@ -166,9 +171,46 @@ export class Filmstrip {
   /** @param {annotator.FilmstripEvent} event */
   #received({ frame, proposals }) {
     if (!this.frames.includes(frame)) return;
-    this.found.set(frame, proposals.filter(({ score }) => (score ?? 0) >= LEAST_SCORE));
+    const found = proposals.filter(({ score }) => (score ?? 0) >= LEAST_SCORE);
+    this.found.set(frame, found);
+    for (const { id, is_confident: isSure } of found) if (!isSure) this.doubtful.add(id);
     this.chosen ??= this.cells[0]?.key ?? null;
+    if (!this.isSearching) new Set(this.#corrected().map(({ proposal }) => proposal.id)).forEach((id) => this.#follow(id)); // back on the strip
     this.state.set({});
+  }
+
+  // -- corrections
+
+  /** The corrected marks, with their cells. */
+  #corrected() {
+    return this.cells.flatMap(({ frame, proposal }) => marksOf(proposal).flatMap(([side, mark]) => {
+      const to = this.placed.get(mark.id);
+      return to ? [{ proposal, mark: { frame, side, ...to } }] : [];
+    }));
+  }
+
+  /** Searches an element anew in all frames: what was corrected is followed into the other images.
+   *
+   * @param {string} id
+   */
+  #follow(id) {
+    const marks = this.#corrected().filter(({ proposal }) => proposal.id === id).map(({ mark }) => mark);
+    this.following += 1;
+    const ended = () => {
+      this.following -= 1;
+      this.state.set({});
+    };
+    this.page.socket.request("follow_corrections", { element_id: id, frames: this.frames, corrected: marks }).then(ended, ended); // offline, the others stay where they are
+  }
+
+  /** @param {annotator.FilmstripRowEvent} event */
+  #followed({ element_id: id, frames, cells }) {
+    for (const frame of frames.filter((each) => this.found.has(each))) {
+      const now = cells.find((cell) => cell.frame === frame)?.proposal;
+      const isShown = now && ((now.score ?? 0) >= LEAST_SCORE || marksOf(now).some(([, mark]) => this.placed.has(mark.id)));
+      const others = (this.found.get(frame) ?? []).filter((proposal) => proposal.id !== id);
+      this.found.set(frame, isShown ? [...others, now] : others);
+    }
   }
 
   // -- cells
@@ -227,6 +269,7 @@ export class Filmstrip {
     if (!mark) return;
     this.placed.set(mark.id, { anchor: to.anchor, end: to.end, anchor_known: to.anchor_known, end_known: to.end_known });
     this.answers.set(cell.key, true);
+    this.#follow(cell.proposal.id);
     this.choose(cell.key);
   }
 

@@ -28,6 +28,8 @@ export class FilmstripGrid {
     this.shown = ""; // what the grid was built from
     /** @type {Map<string, () => void>} */
     this.redraws = new Map(); // of the cells, by their key
+    this.isHeld = false; // a drag goes on
+    this.laidOut = ""; // the rows, and the height of the grid
     this.seen = 0; // how far down the rows were looked at, CSS pixels
     new ResizeObserver(() => this.show()).observe(this.body);
     this.body.addEventListener("scroll", () => this.#saw(), { passive: true });
@@ -49,7 +51,7 @@ export class FilmstripGrid {
   get rows() {
     /** @type {Map<string, Proposal>} */
     const rows = new Map();
-    const weak = new Set(this.strip.cells.filter(({ proposal }) => !proposal.is_confident).map(({ proposal }) => proposal.id));
+    const weak = this.strip.doubtful;
     for (const { proposal } of this.strip.cells) if (!rows.has(proposal.id)) rows.set(proposal.id, proposal);
     return [...rows.values()].sort((a, b) => Number(weak.has(b.id)) - Number(weak.has(a.id)) || a.class_id - b.class_id || (a.depth_m ?? 0) - (b.depth_m ?? 0));
   }
@@ -58,8 +60,8 @@ export class FilmstripGrid {
     const { strip } = this;
     if (!strip.isShown) return;
     const { frames, found } = strip;
-    const built = JSON.stringify([frames, [...found].map(([frame, all]) => [frame, all.map(({ id }) => id)]), this.body.clientWidth, this.body.clientHeight]);
-    if (built !== this.shown) {
+    const built = JSON.stringify([frames, [...found].map(([frame, all]) => [frame, all.map(({ id, marks }) => [id, marks])]), this.body.clientWidth, this.body.clientHeight]);
+    if (built !== this.shown && !this.isHeld) {
       this.shown = built;
       this.#build();
     }
@@ -82,7 +84,9 @@ export class FilmstripGrid {
     const rows = this.rows;
     const wide = (this.body.clientWidth - NAMES - 20) / Math.max(frames.length, 1) - GAP;
     const tall = Math.min(HEIGHT.most, Math.max(HEIGHT.least, Math.floor((this.body.clientHeight - HEADER) / Math.max(rows.length, 1)) - GAP));
-    this.seen = this.body.clientHeight;
+    const laidOut = JSON.stringify([frames, this.body.clientHeight, rows.map(({ id }) => id)]);
+    if (laidOut !== this.laidOut) this.seen = this.body.clientHeight; // else the same rows were looked at already
+    this.laidOut = laidOut;
     this.redraws.clear();
     this.body.style.gridTemplateColumns = `${NAMES}px repeat(${frames.length}, minmax(0, 1fr))`;
     const cells = new Map(strip.cells.map((cell) => [cell.key, cell]));
@@ -151,6 +155,7 @@ export class FilmstripGrid {
     canvas.addEventListener("pointerdown", (event) => {
       if (event.button !== 0) return;
       const from = pointerAt(event), before = strip.placeOf(mark);
+      this.isHeld = true;
       canvas.setPointerCapture(event.pointerId);
       canvas.onpointermove = (now) => {
         const to = pointerAt(now);
@@ -160,6 +165,7 @@ export class FilmstripGrid {
       };
       canvas.onpointerup = canvas.onpointercancel = (last) => {
         canvas.onpointermove = canvas.onpointerup = canvas.onpointercancel = null;
+        this.isHeld = false;
         const to = moving;
         moving = null;
         if (last.type === "pointercancel") draw();

@@ -302,6 +302,16 @@ export interface DraftState {
   moved?: Record<string, [[number, number], [number, number] | null]>;
 }
 
+/** A mark that a person corrected in the strip, in an image of its frame. */
+export interface DraggedMark {
+  frame: number;
+  side: "left" | "right";
+  anchor: [number, number];
+  end: [number, number] | null;
+  anchor_known: boolean;
+  end_known: boolean;
+}
+
 /** Draw a mark; it joins the element ``selected_id`` if it fits or was chosen. */
 export interface DrawEdit {
   observation_id: string;
@@ -519,12 +529,36 @@ export interface FigureView {
   value: string;
 }
 
+/** What is proposed for one element in a frame. */
+export interface FilmstripCell {
+  frame: number;
+  proposal: ProposalView;
+}
+
 /** What is proposed in a frame, after its images were searched: of known elements, its own images alone. */
 export interface FilmstripEvent {
   type: "filmstrip";
   reply_to: string | null;
   frame: number;
   proposals: Array<ProposalView>;
+}
+
+/** What is proposed for one element in frames of the strip: nothing in those without a cell. */
+export interface FilmstripRowEvent {
+  type: "filmstrip_row";
+  reply_to: string | null;
+  element_id: string;
+  frames: Array<number>;
+  cells: Array<FilmstripCell>;
+}
+
+/** Search some frames for one element anew, by the marks of it that were corrected in the strip; a ``filmstrip_row`` event follows. */
+export interface FollowCorrectionsRequest {
+  type: "follow_corrections";
+  id: string;
+  element_id: string;
+  frames: Array<number>;
+  corrected: Array<DraggedMark>;
 }
 
 /** Changed entries of the list of frames. */
@@ -1498,6 +1532,7 @@ export interface Requests {
   choose_poses: ChoosePosesRequest;
   close_review: CloseReviewRequest;
   end_share: EndShareRequest;
+  follow_corrections: FollowCorrectionsRequest;
   go_to_frame: GoToFrameRequest;
   list_named_states: ListNamedStatesRequest;
   list_operations: ListOperationsRequest;
@@ -1532,6 +1567,7 @@ export interface Events {
   element_clicked: ElementClickedEvent;
   error: ConflictEvent | ErrorEvent | SamePlaceEvent;
   filmstrip: FilmstripEvent;
+  filmstrip_row: FilmstripRowEvent;
   frame: LabelledFrameEvent;
   frame_list: FrameListEvent;
   hello: HelloEvent;
