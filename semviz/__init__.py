@@ -22,10 +22,13 @@ if TYPE_CHECKING:
     from semviz_core.common.errors import SemvizError
     from semviz_core.datasets.kitti import KittiSequence
     from semviz_core.localization.association import PairConstraints
+    from semviz_core.localization.camera_views import BodyMotion, CameraView, rolling_shutter
     from semviz_core.localization.localizer import Localizer
     from semviz_core.localization.matched import localize_matches
     from semviz_core.localization.matched.matches import Estimate
+    from semviz_core.localization.noise_estimate import NoiseEstimate
     from semviz_core.localization.refinement import Failure
+    from semviz_core.localization.rig import localize_rig
     from semviz_core.simulation.street import Street
     from semviz_core.tracking.tracker import TrackedPose, Tracker
 
@@ -34,6 +37,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "Belief": "semviz_core.base.frame",
     "Camera": "semviz_core.base.camera",
+    "CameraView": "semviz_core.localization.camera_views",
     "ClassSet": "semviz_core.base.classes",
     "DEFAULT_CLASSES": "semviz_core.base.classes",
     "DetectorModel": "semviz_core.base.detector_model",
@@ -48,6 +52,8 @@ _HOMES = {
     "Localizer": "semviz_core.localization.localizer",
     "MapFrame": "semviz_core.base.semantic_map",
     "MatchedPose": "semviz.runs.recorder",
+    "BodyMotion": "semviz_core.localization.camera_views",
+    "NoiseEstimate": "semviz_core.localization.noise_estimate",
     "Odometry": "semviz_core.base.frame",
     "OdometryNoise": "semviz_core.base.frame",
     "PairConstraints": "semviz_core.localization.association",
@@ -64,6 +70,8 @@ _HOMES = {
     "load_map": "semviz_core.base.map_file",
     "load_run": "semviz.runs.reader",
     "localize_matches": "semviz_core.localization.matched",
+    "localize_rig": "semviz_core.localization.rig",
+    "rolling_shutter": "semviz_core.localization.camera_views",
     "save_map": "semviz_core.base.map_file",
 }
 
@@ -73,7 +81,9 @@ _FORMER = {"Pairing": "PairConstraints", "Track": "TrackedPose"}
 __all__ = [
     "DEFAULT_CLASSES",
     "Belief",
+    "BodyMotion",
     "Camera",
+    "CameraView",
     "ClassSet",
     "DetectorModel",
     "ElementClass",
@@ -87,6 +97,7 @@ __all__ = [
     "Localizer",
     "MapFrame",
     "MatchedPose",
+    "NoiseEstimate",
     "Odometry",
     "OdometryNoise",
     "PairConstraints",
@@ -104,6 +115,8 @@ __all__ = [
     "load_map",
     "load_run",
     "localize_matches",
+    "localize_rig",
+    "rolling_shutter",
     "save_map",
 ]
 

@@ -282,7 +282,8 @@ class MapLocalizabilityCommand:
 
     def run(self) -> int:
         from semviz.presentation.terminal import announce_compiling, track
-        from semviz.workspace import localizability, localize, outputs
+        from semviz.workspace import localizability, outputs
+        from semviz.workspace.chosen_frames import check_map_frame, select_frames
         from semviz_core.localizability.predict import predict
 
         if self.plot is not None:
@@ -290,8 +291,8 @@ class MapLocalizabilityCommand:
             outputs.check_outputs(self.plot, outputs.PNG, force=self.force, reads=[self.workspace])
         workspace = parsing.open_workspace(self.workspace)
         semantic_map, source = workspace.read_map(self.map), workspace.source
-        localize.check_map_frame(semantic_map, source)
-        frames = localize.select_frames(source, parsing.parse_frames(self.frames), self.camera)
+        check_map_frame(semantic_map, source)
+        frames = select_frames(source, parsing.parse_frames(self.frames), self.camera)
         conditions = _conditions(workspace, semantic_map, frames)
         announce_compiling()
         poses = localizability.positions(frames, semantic_map)

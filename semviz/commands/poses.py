@@ -203,7 +203,7 @@ def known_pose_review(workspace: "Workspace") -> "PoseReview | None":
 
 def _checked(path: Path, frames: str | None, camera: str | None) -> "PoseCheck":
     from semviz.presentation.terminal import Steps
-    from semviz.workspace.localize import select_frames
+    from semviz.workspace.chosen_frames import select_frames
     from semviz.workspace.pose_review import check_poses
 
     workspace = parsing.open_workspace(path)

@@ -45,7 +45,8 @@ class RecordCommand:
 
     def run(self) -> int:
         from semviz.runs.recorder import RunRecorder
-        from semviz.workspace import foreign_results, localize, outputs
+        from semviz.workspace import foreign_results, outputs
+        from semviz.workspace.chosen_frames import select_frames
         from semviz_core.datasets.measured_poses import read_poses_or_table
 
         workspace, given = parsing.open_workspace(self.workspace), self.measurements
@@ -62,7 +63,7 @@ class RecordCommand:
         if self.matches is not None:
             matches = foreign_results.read_matches(self.matches, semantic_map)
         foreign_results.check_results(workspace, semantic_map, matches)
-        frames = localize.select_frames(workspace.source, parsing.parse_frames(self.frames))
+        frames = select_frames(workspace.source, parsing.parse_frames(self.frames))
         poses = foreign_results.poses_of_frames(
             read_poses_or_table(self.poses, files.around(workspace, semantic_map)), frames
         )

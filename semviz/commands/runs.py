@@ -53,6 +53,10 @@ class LocalizeCommand:
     """FIRST:END[:STEP], END excluded; default: all frames."""
     camera: parsing.OptionalText = None
     """Of a rig: the camera to localize; default: the first."""
+    rig: bool = False
+    """One pose from what all cameras of a rig, or of a stereo pair, see."""
+    fit_sigmas: bool = False
+    """Scale the sigmas of detections to the errors that frames along the run show."""
     observations: Annotated[
         Literal["labels", "detected", "simulated"] | None,
         arg(metavar="labels|detected|simulated", help_behavior_hint=""),
@@ -89,6 +93,7 @@ class LocalizeCommand:
         from semviz.collection.drive_map import map_along_drive
         from semviz.runs.run import TRACK
         from semviz.workspace import localize, outputs
+        from semviz.workspace.chosen_frames import select_frames
 
         if self.collection is None and self.map_version is not None:
             raise SemvizError("--map-version is for maps of collections; add --collection")
@@ -109,12 +114,14 @@ class LocalizeCommand:
             crop_radius = localize.CROP_RADIUS_M[observations]
         given = self.measurements
         given.check_used()
-        if given.odometry is not None and not self.track:
-            raise SemvizError("--odometry is for tracking; add --track")
+        if given.odometry is not None and not (self.track or self.rig):
+            raise SemvizError("--odometry is for tracking and rigs; add --track or --rig")
         options = localize.LocalizeOptions(
             method=self.method,
             weights=None if self.weights is None else str(self.weights.resolve()),
             track=self.track,
+            rig=self.rig,
+            fit_sigmas=self.fit_sigmas,
             observations=observations,
             noise=self.noise,
             least_score=least_score,
@@ -134,7 +141,7 @@ class LocalizeCommand:
             reads=[self.workspace, *given.reads],
             purpose="run",
         )
-        chosen = localize.select_frames(workspace.source, frames, self.camera)
+        chosen = select_frames(workspace.source, frames, self.camera)
         files = given.files(self.heading_sigma_deg)
         if self.collection is None:
             semantic_map, map_name = workspace.read_map(self.map), self.map

@@ -15,7 +15,7 @@ import numpy as np
 from semviz.presentation.terminal import track
 from semviz.research.detector_evaluation import EvaluationImage
 from semviz.research.workspace_data import LabelledSide, boxes_of
-from semviz.workspace.localize import check_map_frame
+from semviz.workspace.chosen_frames import check_map_frame
 from semviz.workspace.observations import matched_rows
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.detections import as_elements

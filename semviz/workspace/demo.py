@@ -19,6 +19,11 @@ import platformdirs
 from semviz.runs.run import detector_model
 from semviz.workspace import localize
 from semviz.workspace.observations import observe_simulated
+from semviz.workspace.simulated_measurements import (
+    PriorSource,
+    simulated_odometry,
+    simulated_prior,
+)
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.assist.marked_image import Mark
 from semviz_annotation.label_formats.import_plan import ImportLabels
@@ -158,7 +163,7 @@ def _localization(workspace: Workspace, semantic_map: SemanticMap) -> localize.S
         observations="simulated", crop_radius_m=localize.CROP_RADIUS_M["simulated"], seed=SEED
     )
     observe = observe_simulated(workspace, semantic_map, options.noise, options.seed)
-    prior_of = _sometimes_wrong(localize.simulated_prior(options))
+    prior_of = _sometimes_wrong(simulated_prior(options))
     street = workspace.street
     localizer = Localizer(detector=detector_model(options.observations))
     return localize.SequenceLocalization(
@@ -167,7 +172,7 @@ def _localization(workspace: Workspace, semantic_map: SemanticMap) -> localize.S
         street.frames,
         observe,
         prior_of,
-        localize.simulated_odometry(options.seed),
+        simulated_odometry(options.seed),
         localizer,
         options,
     )
@@ -182,7 +187,7 @@ def _often_seen(street: Street, frames: range) -> int:
     return max(counts, key=lambda element_id: (counts[element_id], -element_id))
 
 
-def _sometimes_wrong(prior_of: localize.PriorSource) -> localize.PriorSource:
+def _sometimes_wrong(prior_of: PriorSource) -> PriorSource:
     far_off = PriorOptions(distance_m=FAR_OFF_M)
 
     def wrong_prior_of(frame: Frame) -> Prior | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from semviz.presentation.terminal import track
 from semviz.runs.recorder import MatchedPose, RunRecorder
-from semviz.workspace.localize import check_map_frame
+from semviz.workspace.chosen_frames import check_map_frame
 from semviz.workspace.measurements import Measurements
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.classes import ClassSet

@@ -5,11 +5,12 @@ fix that is off by a known distance, with gravity and optionally a compass. With
 tracker follows the camera, and its pose of each frame is recorded as a localization.
 """
 
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from functools import partial
+from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -31,37 +32,36 @@ from semviz.runs.run import (
 )
 from semviz.runs.writer import write_run
 from semviz.workspace import observations
+from semviz.workspace.chosen_frames import check_map_frame, posed_frames, select_frames
 from semviz.workspace.detect import MODEL_FILE
 from semviz.workspace.frame_processes import localized_in_processes
 from semviz.workspace.measurements import Measurements
+from semviz.workspace.rig_views import OdometrySource, RigViews, rig_views
 from semviz.workspace.sequence_tracker import SequenceTracker
+from semviz.workspace.simulated_measurements import (
+    PriorSource,
+    simulated_odometry,
+    simulated_prior,
+)
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.proposal import ProcessedImages
 from semviz_core.base.detector_model import DetectorCalibration, NoiseName
 from semviz_core.base.elements import Elements2D
-from semviz_core.base.frame import Dataset, Frame, Odometry, OdometryNoise, Prior
+from semviz_core.base.frame import Dataset, Frame, Prior
 from semviz_core.base.localization import Localization
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.priors import PriorOptions, simulate_prior
-from semviz_core.datasets.rig_cameras import cameras_by_frame, frames_of_camera
+from semviz_core.datasets.rig_cameras import cameras_by_frame
 from semviz_core.localization.localizer import Localizer
-
-ODOMETRY_NOISE = OdometryNoise()
-_ODOMETRY_SEED = 2  # 0 and 1 seed the prior and the detector
-
-
-PriorSource = Callable[[Frame], Prior | None]
-"""Returns the prior of a frame; None if it has none."""
-OdometrySource = Callable[[Frame, Frame], Odometry | None]
-"""Returns the motion of the camera from a frame to the next one; None if it is not known."""
-
+from semviz_core.localization.noise_estimate import NoiseEstimate
 
 CROP_RADIUS_M: dict[Observations, float] = {"labels": 120.0, "detected": 120.0, "simulated": 50.0}
 """The simulated detector has a range of 40 m; labels and detections have no fixed range."""
 WARM_UP_FRAMES = 2
 """The second is the first that a tracker predicts."""
 NO_PRIOR = "No prior: the file has no fix for this frame."
+NOISE_FRAMES = 24
+"""Frames along a run from which the sigmas of its detections are estimated."""
 ROAD_RADIUS_M = 60.0
 """The prior holds the road within this distance of the fix."""
 
@@ -75,6 +75,10 @@ class LocalizeOptions:
     """Weights file of a learned method; None: the shipped weights."""
     track: bool = False
     """Track the camera from frame to frame; ``method`` then applies while the pose is unknown."""
+    rig: bool = False
+    """Estimate one pose from all cameras of the drive."""
+    fit_sigmas: bool = False
+    """Scale the sigmas of detections to the errors that frames along the run show."""
     observations: Observations = "labels"
     noise: NoiseName = "low"
     """Noise of the simulated detector."""
@@ -96,6 +100,10 @@ class LocalizeOptions:
             raise SemvizError(f"crop radius {self.crop_radius_m:g} m: give a positive number")
         if not 0.0 <= self.least_score <= 1.0:
             raise SemvizError(f"score {self.least_score:g}: give a number from 0 to 1")
+        if self.rig and (self.track or self.method != "search"):
+            raise SemvizError("--rig is for single frames and --method search; leave out --rig")
+        if self.rig and self.observations == "simulated":
+            raise SemvizError("--rig is for labels and detections; add --observations detected")
 
     @property
     def has_measurements(self) -> bool:
@@ -127,6 +135,8 @@ class SequenceLocalization:
     """Processes that localize."""
     again: "Callable[[], SequenceLocalization] | None" = None
     """Makes the same in another process; needed for several."""
+    rig: RigViews | None = None
+    """All cameras, if each pose is to follow from what all of them see."""
 
     def __post_init__(self) -> None:
         if self.jobs < 1:
@@ -156,14 +166,30 @@ class SequenceLocalization:
         """Yield the records of some of the frames, each on its own."""
         return self._localized(self.frames[rows.start : rows.stop])
 
+    @cached_property
+    def noise(self) -> NoiseEstimate:
+        """What frames along the run tell about the sigmas of its detections.
+
+        It is the same in all processes, and whichever frames are localized."""
+        estimate, search = NoiseEstimate(), replace(self.localizer, method="search", weights=None)
+        for frame in self.frames[:: -(-len(self.frames) // NOISE_FRAMES)]:
+            (stated, _), prior = self.observe(frame), self._prior(frame)
+            if prior is not None:
+                submap = self.semantic_map.crop(prior.position_m, self.options.crop_radius_m)
+                request = estimate.applied(stated), submap, self.source.rig.left, prior
+                estimate = estimate.after(search.localize(*request), stated, search.detector)
+        return estimate
+
     def _localized(self, frames: tuple[Frame, ...]) -> Iterator[FrameRecord]:
         options = self.options
         tracker = self._tracker() if options.track else None
         for before, frame in zip((None, *frames), frames, strict=False):
             observed, element_id = self.observe(frame)
+            if options.fit_sigmas:
+                observed = self.noise.applied(observed)
             prior, odometry = self._prior(frame), None
             if tracker is None:
-                result = self._localize(observed, prior)
+                result = self._localize(frame, observed, prior)
             else:
                 odometry = None if before is None else self.odometry_of(before, frame)
                 result = tracker.localize(observed, prior, odometry)
@@ -178,7 +204,7 @@ class SequenceLocalization:
         road_m = self.semantic_map.road_near(prior.position_m, ROAD_RADIUS_M)
         return replace(prior, road_m=road_m)
 
-    def _localize(self, observed: Elements2D, prior: Prior | None) -> Localization:
+    def _localize(self, frame: Frame, observed: Elements2D, prior: Prior | None) -> Localization:
         """Localize a single frame; one without a prior is recorded as such."""
         camera = self.source.rig.left
         if prior is None:
@@ -195,6 +221,9 @@ class SequenceLocalization:
                 None,
             )
         submap = self.semantic_map.crop(prior.position_m, self.options.crop_radius_m)
+        if self.rig is not None:
+            scaled = self.noise.applied if self.options.fit_sigmas else lambda stated: stated
+            return self.rig.localize(frame, observed, submap, prior, self.localizer, scaled)
         return self.localizer.localize(observed, submap, camera, prior)
 
     def _tracker(self) -> SequenceTracker:
@@ -204,44 +233,6 @@ class SequenceLocalization:
             self.localizer,
             self.options.crop_radius_m,
         )
-
-
-def check_map_frame(semantic_map: SemanticMap, source: Dataset) -> None:
-    """Raise SemvizError if a map and the poses of a sequence are in different map frames."""
-    map_frame, sequence_frame = semantic_map.frame.name, source.map_frame.name
-    if map_frame != sequence_frame:
-        raise SemvizError(
-            f"the map is in frame '{map_frame}', the sequence in '{sequence_frame}': "
-            "build a map from this sequence, or choose another with --map"
-        )
-
-
-def select_frames(
-    source: Dataset, numbers: range | None, camera: str | None = None
-) -> tuple[Frame, ...]:
-    """Return the frames with these numbers (None: all), of one camera if the source is a rig.
-
-    ``camera`` None takes that of the first of these frames. Raise SemvizError if there are none.
-    """
-    selected = [frame for frame in source.frames if numbers is None or frame.index in numbers]
-    frames = frames_of_camera(source, camera, selected)
-    if not frames:
-        raise SemvizError("--frames: the sequence has none of these frames")
-    return frames
-
-
-def posed_frames(frames: tuple[Frame, ...]) -> tuple[Frame, ...]:
-    """Return the frames with a pose: the prior is simulated from it, and the error measured by it.
-
-    Raise SemvizError if there are none.
-    """
-    posed = tuple(frame for frame in frames if frame.T_map_camera is not None)
-    if not posed:
-        raise SemvizError(
-            "none of the frames has a pose, so no prior can be simulated; make the workspace "
-            "again with --poses"
-        )
-    return posed
 
 
 def localize_workspace(
@@ -278,71 +269,42 @@ def localize_workspace(
     if measured.priors is None:
         selected = posed_frames(selected)
     processed: ProcessedImages | None = None
+    observe_in: Callable[..., observations.Observe]
     if options.observations == "labels":
-        observe = observations.observe_labels(workspace, semantic_map)
+        observe_in = partial(observations.observe_labels, workspace, semantic_map)
     elif options.observations == "detected":
         detections = observations.read_detections(workspace, selected)
-        observe = observations.observe_detected(
-            workspace, semantic_map, detections, options.least_score, calibration
-        )
+        observe_in = partial(
+            observations.observe_detected,
+            workspace, semantic_map, detections, options.least_score, calibration,
+        )  # fmt: skip
         processed = detections.processed
     else:
-        observe = observations.observe_simulated(
-            workspace, semantic_map, options.noise, options.seed
+        observe_in = partial(
+            observations.observe_simulated, workspace, semantic_map, options.noise, options.seed
         )
+    odometry_of = measured.odometry_of if measured.is_any else simulated_odometry(options.seed)
     measured.check(semantic_map, selected)
     return SequenceLocalization(
         source,
         semantic_map,
         selected,
-        observe,
+        observe_in(),
         measured.prior_of if measured.priors else simulated_prior(options),
-        measured.odometry_of if measured.is_any else simulated_odometry(options.seed),
+        odometry_of,
         localizer,
         options,
         processed,
         calibration,
         jobs,
         again,
+        rig_views(source, selected, observe_in, odometry_of) if options.rig else None,
     )
 
 
 def _localize_again(path: Path, *arguments: Any) -> SequenceLocalization:
     """Return ``localize_workspace`` of the workspace in a folder."""
     return localize_workspace(Workspace.open(path), *arguments)
-
-
-def prior_options(options: LocalizeOptions) -> PriorOptions:
-    """Return the accuracy of the simulated GPS and compass."""
-    heading_deg = options.heading_sigma_deg
-    return PriorOptions(
-        distance_m=options.prior_distance_m,
-        heading_sigma_rad=None if heading_deg is None else float(np.deg2rad(heading_deg)),
-    )
-
-
-def simulated_odometry(seed: int) -> OdometrySource:
-    """Simulate odometry: the true motion between two frames, with noise."""
-
-    def odometry_of(before: Frame, now: Frame) -> Odometry | None:
-        if now.T_map_camera is None or before.T_map_camera is None:
-            return None
-        rng = np.random.default_rng([seed, now.index, _ODOMETRY_SEED])
-        return ODOMETRY_NOISE.measure(now.T_map_camera.inverse() @ before.T_map_camera, rng)
-
-    return odometry_of
-
-
-def simulated_prior(options: LocalizeOptions) -> PriorSource:
-    """Simulate a GPS fix that is off by a known distance, gravity, and optionally a compass."""
-    accuracy = prior_options(options)
-
-    def prior_of(frame: Frame) -> Prior:
-        if frame.T_map_camera is None:
-            raise SemvizError(f"frame {frame.index} has no pose to simulate a GPS fix from")
-        return simulate_prior(frame.T_map_camera, accuracy, (options.seed, frame.index))
-
-    return prior_of
 
 
 def record(
@@ -372,13 +334,20 @@ def record(
         rig=localization.source.rig,
         map_name=map_name,
         observations=_observations(options, processed),
-        options=asdict(options) | _detector_options(processed) | _calibration_options(localization),
+        options=_stored(options)
+        | _detector_options(processed)
+        | _calibration_options(localization)
+        | _sigma_options(localization),
         images=images,
         camera=cameras_by_frame(localization.source).get(localization.frames[0].index, ""),
     )
     frames = _RecordedFrames(localization, Run(info, localization.semantic_map, ()), path.parent)
     records = track(frames.all(), "localizing", len(localization.frames))
-    return write_run(records, path, info, localization.semantic_map)
+    counts = write_run(records, path, info, localization.semantic_map)
+    if said := localization.noise.scales.sentence:
+        scaled = "sigmas are scaled" if options.fit_sigmas else "--fit-sigmas scales the sigmas"
+        print(f"{said} ({scaled})", file=sys.stderr)
+    return counts
 
 
 @dataclass(frozen=True, eq=False)
@@ -420,6 +389,12 @@ def _record_again(
     return _RecordedFrames(again(), run, folder)
 
 
+def _stored(options: LocalizeOptions) -> dict[str, Any]:
+    """Return options as a run holds them; what earlier versions do not know, only if it is set."""
+    later = {"rig", "fit_sigmas"}
+    return {name: value for name, value in asdict(options).items() if value or name not in later}
+
+
 def _observations(options: LocalizeOptions, processed: ProcessedImages | None) -> str:
     """Return ``RunInfo.observations``."""
     if options.observations == "labels":
@@ -447,3 +422,12 @@ def _calibration_options(localization: SequenceLocalization) -> dict[str, Any]:
         return {}
     rates = localization.localizer.detector._asdict()
     return {RATES: rates, "detector_calibration": localization.calibration.truth}
+
+
+def _sigma_options(localization: SequenceLocalization) -> dict[str, Any]:
+    """Return by how much sigmas were scaled as options of a run."""
+    return (
+        {"sigma_scales": localization.noise.scales._asdict()}
+        if localization.options.fit_sigmas
+        else {}
+    )

@@ -19,7 +19,7 @@ from semviz_annotation.mapping.build import uses_detections
 from semviz_annotation.mapping.quality.label_links import map_rows, observe
 from semviz_core.base.detector_model import DetectorCalibration, NoiseName
 from semviz_core.base.elements import Elements2D
-from semviz_core.base.frame import Frame
+from semviz_core.base.frame import Frame, Side
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import BoolArray, IntArray
 from semviz_core.common.errors import SemvizError
@@ -36,12 +36,12 @@ Observe = Callable[[Frame], tuple[Elements2D, IntArray]]
 for a false positive or a label without map element, -2 for a detection of unknown truth."""
 
 
-def observe_labels(workspace: Workspace, semantic_map: SemanticMap) -> Observe:
-    """Observe the labels of the left image, without elements that a person left out of maps."""
+def observe_labels(workspace: Workspace, semantic_map: SemanticMap, side: Side = "left") -> Observe:
+    """Observe the labels of one image, without elements that a person left out of maps."""
     from semviz_annotation.mapping.quality.label_links import observe
 
     labels = workspace.read_labels().without_left_out()
-    return lambda frame: observe(labels, frame.index, "left", semantic_map)
+    return lambda frame: observe(labels, frame.index, side, semantic_map)
 
 
 def read_detections(workspace: Workspace, frames: Iterable[Frame]) -> "Proposals":
@@ -85,22 +85,25 @@ def observe_detected(
     detections: "Proposals",
     least_score: float = 0.0,
     calibration: DetectorCalibration | None = None,
+    side: Side = "left",
 ) -> Observe:
-    """Observe the detections in the left image with at least ``least_score``, once calibrated."""
+    """Observe the detections in one image with at least ``least_score``, once calibrated; those in
+    a right image are not identified."""
     from semviz_annotation.labels.detections import as_elements
 
     identify = identify_detections(workspace, semantic_map)
     of_map = map_rows(semantic_map).of_observation if uses_detections(semantic_map) else {}
 
     def observe(frame: Frame) -> tuple[Elements2D, IntArray]:
-        rows = detections.in_frame(frame.index, "left")
+        rows = detections.in_frame(frame.index, side)
         elements = as_elements(rows, semantic_map.triangle_center)
         if calibration is not None:
             elements = calibration.calibrated(elements)
         mapped = np.array([of_map.get(row.id, -1) for row in rows], dtype=np.int64)
         chosen = elements.score >= least_score
         elements, mapped = elements[chosen], mapped[chosen]
-        element_id = identify(frame, elements)
+        unknown = np.full(len(elements), UNKNOWN_ID)
+        element_id = identify(frame, elements) if side == "left" else unknown
         return elements, np.where(mapped >= 0, semantic_map.elements.id[mapped], element_id)
 
     return observe

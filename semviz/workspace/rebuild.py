@@ -20,12 +20,15 @@ from semviz.workspace import localize
 from semviz.workspace.localizability import options_of
 from semviz.workspace.observations import Observe, observe_labels, read_detections
 from semviz.workspace.pose_review import pose_errors, with_used_poses
+from semviz.workspace.rig_views import OdometrySource
+from semviz.workspace.simulated_measurements import simulated_odometry
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.mapping.build import rebuild_map, uses_detections
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Frame
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import IntArray
+from semviz_core.common.errors import SemvizError
 from semviz_core.diagnosis.fault import UNKNOWN_ID
 from semviz_core.localization.localizer import Localizer
 
@@ -42,8 +45,13 @@ def rebuild_run(
     ``on_progress`` may raise to stop it; nothing is left then.
 
     Raise SemvizError if the map was not built from labels or detections, or cannot be built any
-    more.
+    more, or if the run is of several cameras: it holds what one of them saw.
     """
+    if options_of(run.info.options).rig:
+        raise SemvizError(
+            "the run has one pose from several cameras; build the map with 'semviz map build', "
+            "then run 'semviz localize --rig' again"
+        )
     labels = workspace.read_labels()
     detected = uses_detections(run.semantic_map)
     semantic_map, _ = rebuild_map(
@@ -136,11 +144,11 @@ def _localized(run: Run, semantic_map: SemanticMap, workspace: Workspace) -> Ite
 
 def _odometry_of(
     recorded: dict[int, FrameRecord], options: localize.LocalizeOptions
-) -> localize.OdometrySource:
+) -> OdometrySource:
     """Return the odometry of a run: what was measured, else simulated again."""
     if options.has_measurements:
         return lambda before, now: recorded[now.index].odometry
-    return localize.simulated_odometry(options.seed)
+    return simulated_odometry(options.seed)
 
 
 def _recorded(recorded: dict[int, FrameRecord], new_id: dict[int, int]) -> Observe:

@@ -153,7 +153,7 @@ def test_priors_without_odometry_simulate_none(
     ("options", "message"),
     [
         (("--priors", "none.csv"), "--priors none.csv: no such file"),
-        (("--odometry", "{priors}"), "--odometry is for tracking; add --track"),
+        (("--odometry", "{priors}"), "--odometry is for tracking and rigs; add --track or --rig"),
         (("--priors", "{priors}", "--fix-sigma", "0"), "write numbers above 0"),
         (("--priors", "{far}"), "km from the map: other coordinates"),
         (("--priors", "{late}"), "another clock or unit"),

@@ -22,9 +22,9 @@ from semviz.workspace.localize import (
     CROP_RADIUS_M,
     LocalizeOptions,
     localize_workspace,
-    simulated_odometry,
 )
 from semviz.workspace.sequence_tracker import SequenceTracker
+from semviz.workspace.simulated_measurements import simulated_odometry
 from semviz.workspace.workspace import TRUTH, Workspace
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Odometry, Prior

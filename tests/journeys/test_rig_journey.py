@@ -22,12 +22,14 @@ from semviz.annotator.session import LabelSession
 from semviz.cli import main
 from semviz.runs.reader import load_run
 from semviz.web.protocol import RefusedError
+from semviz.workspace.rebuild import rebuild_run
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.detections import as_proposals
 from semviz_annotation.labels.labels import new_id
 from semviz_annotation.labels.proposal import ProcessedImages, Proposal
 from semviz_annotation.labels.proposals import Proposals, save_proposals
 from semviz_core.base.pose import Pose
+from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles, poses_at_times
@@ -140,6 +142,48 @@ def test_a_rig_is_mapped_and_every_camera_localized_in_one_map(
     assert call(capsys, "labels", "export", town.path, tmp_path / "l.csv")[0] == 0
     row = next(row for row in csv.DictReader((tmp_path / "l.csv").open()) if row["frame"] == "31")
     assert row["image"].startswith("back/17")
+
+
+def test_a_frame_is_localized_by_all_cameras(
+    town: Workspace, source: Street, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Their images are 13 to 41 ms apart."""
+    label(town, source, CAMERAS, SIGMA_PX)
+    assert call(capsys, "map", "build", town.path)[0] == 0
+    numbers = {}
+    for name, words in {"alone": (), "rig": ("--rig",)}.items():
+        run = town.path / "runs" / f"{name}.rrd"
+        options = ("--camera", "left", "--out", run, "--images", "none", *words)
+        code, _, err = call(capsys, "localize", town.path, *options)
+        assert code == 0, err
+        numbers[name] = json.loads(call(capsys, "evaluate", run, "--json")[1])
+    assert numbers["rig"]["status"]["ok"] == FRAMES
+    assert numbers["rig"]["rte_m"]["q2"] < numbers["alone"]["rte_m"]["q2"]
+    stored = load_run(town.path / "runs" / "rig.rrd")
+    assert stored.info.camera == "left"
+    assert stored.info.options["rig"]
+    for record in stored.frames:
+        found = record.localization
+        assert found.reason.startswith("4 cameras: ")
+        assert f" of {len(found.observed)} elements" not in found.reason  # of all cameras
+    with pytest.raises(SemvizError, match="one pose from several cameras"):
+        rebuild_run(stored, town.path / "runs" / "again.rrd", town)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--rig", "--track"), "--rig is for single frames and --method search"),
+        (("--rig", "--method", "direct"), "--rig is for single frames and --method search"),
+        (("--rig", "--observations", "simulated"), "--rig is for labels and detections"),
+    ],
+)
+def test_a_rig_that_cannot_be_localized_is_refused(
+    town: Workspace, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], said: str
+) -> None:
+    code, _, err = call(capsys, "localize", town.path, *options)
+    assert (code, err.count("\n")) == (2, 1)
+    assert said in err
 
 
 def test_detections_of_all_cameras_make_a_map_in_which_each_is_localized(

@@ -27,6 +27,7 @@ from semviz_core.localization.residuals import (
     bottom_is_given,
     fill_rows,
     hidden_odds,
+    largest_shift_m2,
     new_rows,
     rows_that_count,
     transform_point,
@@ -151,10 +152,8 @@ def _directions(
     in_sight, least = rows_in_sight(problem, *_center(R, t)), _least_cosine(problem)
     row, count = np.empty(len(in_sight), dtype=np.int64), 0
     variance, direction = np.empty(len(in_sight)), np.empty((3, len(in_sight)))
-    position_variance, rotation_variance = (
-        _largest(pose_covariance, 0),
-        _largest(pose_covariance, 3),
-    )
+    position_variance = _largest(pose_covariance, 0) + largest_shift_m2(problem)
+    rotation_variance = _largest(pose_covariance, 3)
     for j in in_sight:
         x, y, z = transform_point(R, t, problem.mapped[j].anchor_m)
         square = x * x + y * y + z * z

@@ -208,7 +208,7 @@ class Localizer:
             self.method, camera, prior, observed, submap,
             status="cannot", reason="", T_camera_map=None, covariance=None, time_ms=watch.time_ms,
         )  # fmt: skip
-        if reason := _too_few(observed, submap):
+        if reason := too_few(observed, submap):
             return replace(work, reason=reason)
         problem = pairing.applied(PoseProblem.of(camera, observed, submap, self.detector))
         if self.method not in EFFORTS:
@@ -253,7 +253,7 @@ class Localizer:
         work = replace(work, search=found)
         problem = with_sigma_scale(problem, modes.sigma_scale)
         if not found.T_camera_map:
-            return replace(work, reason=_nothing_fits(prior))
+            return replace(work, reason=nothing_fits(prior))
 
         # 2 association: P over all modes, with dustbins (the paper's eq. 3-4 has none)
         if work.match is None:
@@ -367,7 +367,7 @@ class Localizer:
             raise SemvizError(f"request {number}: {error}") from error
 
 
-def _too_few(observed: Elements2D, submap: Elements3D) -> str:
+def too_few(observed: Elements2D, submap: Elements3D) -> str:
     seen = len(observed)
     if seen < NEEDED_ELEMENTS:
         return f"{seen} element{'' if seen == 1 else 's'} seen, {NEEDED_ELEMENTS} needed."
@@ -376,7 +376,7 @@ def _too_few(observed: Elements2D, submap: Elements3D) -> str:
     return ""
 
 
-def _nothing_fits(prior: Prior) -> str:
+def nothing_fits(prior: Prior) -> str:
     heading = "" if prior.heading_rad is None else ", its heading"
     return (
         f"No two elements fit one pose within the prior's fix ({prior.horizontal_sigma_m:.1f} m)"
@@ -404,11 +404,11 @@ def _completed(
         T_camera_map=estimate.T_camera_map if has_pose else None,
         covariance=estimate.covariance if has_pose else None,
         refinement=estimate.refinement,
-        alternatives=_alternatives(found),
+        alternatives=alternatives_of(found),
     )
 
 
-def _alternatives(found: Search) -> tuple[Alternative, ...]:
+def alternatives_of(found: Search) -> tuple[Alternative, ...]:
     poses, score = found.T_camera_map, found.score
     near = np.flatnonzero(score >= score[0] - MAX_ALTERNATIVE_NATS)[1:]
     return tuple(Alternative(poses[row], float(score[row])) for row in near)

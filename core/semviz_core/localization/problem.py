@@ -61,10 +61,14 @@ SEEN = np.dtype(
         ("last", np.int64),
         ("is_line", np.bool_),
         ("known", np.uint8, (2,)),  # peak, bottom
+        ("is_moved", np.bool_),  # whether turn and shift count
+        ("turn", float, (2, 3, 3)),  # of anchor and end: from the axes of the pose that is sought
+        ("shift_m", float, (2, 3)),  # to those of the camera that saw it, when it saw it
     ],
     align=True,
 )
-"""An observed element; the end of a point is its anchor."""
+"""An observed element; the end of a point is its anchor. Rays and plane are in the axes of the pose
+that is sought."""
 MAPPED = np.dtype(
     [
         ("anchor_m", float, (3,)),
@@ -137,6 +141,21 @@ class PoseProblem(NamedTuple):
         seen = self.seen.copy()
         seen["first"], seen["last"] = first[:-1], first[1:]
         return self._replace(seen=seen, candidate=candidate.copy(), compatible=possible)
+
+    def moved(self, turn: FloatArray, shift_m: FloatArray) -> "PoseProblem":
+        """Return the problem of a pose from which the camera was away when it saw the elements.
+
+        ``turn`` (m, 2, 3, 3) and ``shift_m`` (m, 2, 3) take the axes of the pose to those of the
+        camera, when it saw an element's anchor and end.
+        """
+        seen = self.seen.copy()
+        seen["is_moved"], seen["turn"], seen["shift_m"] = True, turn, shift_m
+        for end, ray in enumerate(("anchor_ray", "end_ray")):
+            seen[ray] = np.einsum("mji,mj->mi", turn[:, end], seen[ray])
+        normal = np.cross(seen["anchor_ray"], seen["end_ray"])
+        length = np.sqrt((normal**2).sum(axis=1, keepdims=True))
+        seen["plane"] = normal / np.maximum(length, _TINY)
+        return self._replace(seen=seen)
 
 
 @compiled
@@ -238,12 +257,26 @@ def _seen(camera: Camera, observed: Elements2D) -> RecordArray:
     seen["anchor_px"] = _ideal(camera, observed.anchor_px)
     end = np.where(line[:, None], observed.end_px, observed.anchor_px)
     seen["end_px"] = _ideal(camera, end)
-    seen["variance_px2"] = observed.sigma_px**2
+    seen["variance_px2"] = (
+        observed.sigma_px * _stretch(camera, 0.5 * (observed.anchor_px + end))
+    ) ** 2
     seen["is_line"] = line
     seen["known"][:, 0], seen["known"][:, 1] = observed.anchor_known, observed.end_known
     K_inverse = np.asarray(np.linalg.inv(camera.K), dtype=np.float64)
     _complete(seen, K_inverse, float(camera.width), float(camera.height))
     return seen
+
+
+def _stretch(camera: Camera, pixels_px: FloatArray) -> FloatArray | float:
+    """Return by how much errors (m, 2) of columns and rows grow at ``pixels_px`` (m, 2) where
+    distortion is taken out: at the border of a wide view twice and more."""
+    if not camera.distortion.size:
+        return 1.0
+    steps = [
+        _ideal(camera, pixels_px + half) - _ideal(camera, pixels_px - half)
+        for half in 0.5 * np.eye(2)
+    ]
+    return np.asarray(np.linalg.norm(np.stack(steps, axis=1), axis=2))
 
 
 @compiled

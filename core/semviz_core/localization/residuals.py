@@ -25,7 +25,7 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.jit import compiled, compiled_leaf
 from semviz_core.common.linalg import cholesky
-from semviz_core.localization.problem import PoseProblem
+from semviz_core.localization.problem import PoseProblem, Record
 
 INLIER_PROBABILITY = 0.999
 """Share of true pairs that pass the inlier test when sigmas are stated truly."""
@@ -128,34 +128,66 @@ def fill_rows(
 
     Return the number of rows, 0 if the element is behind the camera.
     """
+    seen = problem.seen[i]
     a = transform_point(R, t, problem.mapped[j].anchor_m)
     e = transform_point(R, t, problem.mapped[j].end_m)
+    a_first, e_first = as_seen(seen, 0, a), as_seen(seen, 0, e)
     rows.by_camera[:] = 0.0
     count = 2
-    if not problem.seen[i].is_line:
-        if a[2] <= MIN_DEPTH_M:
+    if not seen.is_line:
+        if a_first[2] <= MIN_DEPTH_M:
             return 0
         for axis in range(2):
             slope = rows.by_camera[axis, :3]
-            rows.residual[axis] = _offset(
-                problem.setting.K, problem.seen[i].anchor_px, a, axis, slope
-            )
-    else:
-        if a[2] <= MIN_DEPTH_M and e[2] <= MIN_DEPTH_M:
-            return 0
-        _fill_distances(problem, i, a, e, rows)
-        if problem.seen[i].known[0] and problem.mapped[j].known[0] and a[2] > MIN_DEPTH_M:
-            slope = rows.by_camera[count, :3]
-            rows.residual[count] = _distance_along(problem, i, problem.seen[i].anchor_px, a, slope)
-            count += 1
-        if problem.seen[i].known[1] and problem.mapped[j].known[1] and e[2] > MIN_DEPTH_M:
-            slope = rows.by_camera[count, 3:]
-            rows.residual[count] = _distance_along(problem, i, problem.seen[i].end_px, e, slope)
-            count += 1
-        rows.length_px[0] = _length_px(problem, a, e)
-    for row in range(count):
-        _chain(rows, row, a, e, R)
+            rows.residual[axis] = _offset(problem.setting.K, seen.anchor_px, a_first, axis, slope)
+            _chain(seen, 0, rows, axis, a, e, R)
+        return count
+    a_last, e_last = as_seen(seen, 1, a), as_seen(seen, 1, e)
+    if a_first[2] <= MIN_DEPTH_M and e_last[2] <= MIN_DEPTH_M:
+        return 0
+    _fill_distance(problem, seen.anchor_px, a_first, e_first, rows, 0)
+    _fill_distance(problem, seen.end_px, a_last, e_last, rows, 1)
+    _chain(seen, 0, rows, 0, a, e, R)
+    _chain(seen, 1, rows, 1, a, e, R)
+    if seen.known[0] and problem.mapped[j].known[0] and a_first[2] > MIN_DEPTH_M:
+        slope = rows.by_camera[count, :3]
+        rows.residual[count] = _distance_along(problem, i, seen.anchor_px, a_first, slope)
+        _chain(seen, 0, rows, count, a, e, R)
+        count += 1
+    if seen.known[1] and problem.mapped[j].known[1] and e_last[2] > MIN_DEPTH_M:
+        slope = rows.by_camera[count, 3:]
+        rows.residual[count] = _distance_along(problem, i, seen.end_px, e_last, slope)
+        _chain(seen, 1, rows, count, a, e, R)
+        count += 1
+    rows.length_px[0] = _length_px(problem, a_first, e_last)
     return count
+
+
+@compiled_leaf
+def as_seen(seen: Record, end: int, point: Vector) -> Vector:
+    """Return a point, given in the axes of the pose that is sought, in those of the camera that saw
+    an end of the element (0: anchor), when it saw it."""
+    if not seen.is_moved:
+        return point
+    x, y, z = point
+    turn, shift = seen.turn[end], seen.shift_m[end]
+    return (
+        turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z + shift[0],
+        turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z + shift[1],
+        turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z + shift[2],
+    )
+
+
+@compiled_leaf
+def largest_shift_m2(problem: PoseProblem) -> float:
+    """Return the square of how far, at most, a camera was from the pose when it saw an element."""
+    largest = 0.0
+    for i in range(len(problem.seen)):
+        if problem.seen[i].is_moved:
+            for end in range(2):
+                shift = problem.seen[i].shift_m[end]
+                largest = max(largest, shift[0] ** 2 + shift[1] ** 2 + shift[2] ** 2)
+    return largest
 
 
 @compiled_leaf
@@ -289,8 +321,10 @@ def _distance_along(
 
 
 @compiled_leaf
-def _fill_distances(problem: PoseProblem, i: int, a: Vector, e: Vector, rows: Rows) -> None:
-    """Fill the distances of both observed ends from the projected line, and their derivatives.
+def _fill_distance(
+    problem: PoseProblem, pixel: FloatArray, a: Vector, e: Vector, rows: Rows, row: int
+) -> None:
+    """Fill the distance of an observed end from the projected line, and its derivatives.
 
     The line through the projections is l = K^-T (end x anchor); positive is to the right of a
     pole that stands upright in the image.
@@ -301,22 +335,20 @@ def _fill_distances(problem: PoseProblem, i: int, a: Vector, e: Vector, rows: Ro
     line1 = normal[0] * inverse[0, 1] + normal[1] * inverse[1, 1]
     line2 = normal[0] * inverse[0, 2] + normal[1] * inverse[1, 2] + normal[2]
     norm = max(np.sqrt(line0 * line0 + line1 * line1), _TINY)
-    for row in range(2):
-        pixel = problem.seen[i].anchor_px if row == 0 else problem.seen[i].end_px
-        distance = (line0 * pixel[0] + line1 * pixel[1] + line2) / norm
-        rows.residual[row] = distance
-        first = (pixel[0] - distance * line0 / norm) / norm
-        second = (pixel[1] - distance * line1 / norm) / norm
-        third = 1.0 / norm
-        ray = (
-            inverse[0, 0] * first + inverse[0, 1] * second + inverse[0, 2] * third,
-            inverse[1, 1] * second + inverse[1, 2] * third,
-            third,
-        )
-        anchor_slope, end_slope = _cross(ray, e), _cross(a, ray)
-        for k in range(3):
-            rows.by_camera[row, k] = anchor_slope[k]
-            rows.by_camera[row, 3 + k] = end_slope[k]
+    distance = (line0 * pixel[0] + line1 * pixel[1] + line2) / norm
+    rows.residual[row] = distance
+    first = (pixel[0] - distance * line0 / norm) / norm
+    second = (pixel[1] - distance * line1 / norm) / norm
+    third = 1.0 / norm
+    ray = (
+        inverse[0, 0] * first + inverse[0, 1] * second + inverse[0, 2] * third,
+        inverse[1, 1] * second + inverse[1, 2] * third,
+        third,
+    )
+    anchor_slope, end_slope = _cross(ray, e), _cross(a, ray)
+    for k in range(3):
+        rows.by_camera[row, k] = anchor_slope[k]
+        rows.by_camera[row, 3 + k] = end_slope[k]
 
 
 @compiled_leaf
@@ -330,16 +362,31 @@ def _length_px(problem: PoseProblem, a: Vector, e: Vector) -> float:
 
 
 @compiled_leaf
-def _chain(rows: Rows, row: int, a: Vector, e: Vector, R: FloatArray) -> None:
-    """Turn derivatives by camera coordinates into those by pose and by map coordinates."""
+def _chain(
+    seen: Record, end: int, rows: Rows, row: int, a: Vector, e: Vector, R: FloatArray
+) -> None:
+    """Turn derivatives by camera coordinates of an end's time into those by pose and by map
+    coordinates."""
     by = rows.by_camera[row]
     by_a, by_e = (by[0], by[1], by[2]), (by[3], by[4], by[5])
+    if seen.is_moved:
+        by_a, by_e = _turned_back(seen.turn[end], by_a), _turned_back(seen.turn[end], by_e)
     turn_a, turn_e = _cross(a, by_a), _cross(e, by_e)
     for k in range(3):
         rows.jacobian[row, k] = by_a[k] + by_e[k]
         rows.jacobian[row, 3 + k] = turn_a[k] + turn_e[k]
         rows.by_map[row, k] = by_a[0] * R[0, k] + by_a[1] * R[1, k] + by_a[2] * R[2, k]
         rows.by_map[row, 3 + k] = by_e[0] * R[0, k] + by_e[1] * R[1, k] + by_e[2] * R[2, k]
+
+
+@compiled_leaf
+def _turned_back(turn: FloatArray, vector: Vector) -> Vector:
+    x, y, z = vector
+    return (
+        turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z,
+        turn[0, 1] * x + turn[1, 1] * y + turn[2, 1] * z,
+        turn[0, 2] * x + turn[1, 2] * y + turn[2, 2] * z,
+    )
 
 
 @compiled_leaf

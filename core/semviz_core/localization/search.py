@@ -232,7 +232,7 @@ def _final_modes(
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray]:
     """Fit candidates until they converge; return the distinct results, best first."""
     m, n = problem.compatible.shape
-    kept = _near_best(candidates, _distinct(candidates)[: effort.finished], effort)
+    kept = near_best(candidates, distinct(candidates)[: effort.finished], effort)
     b = len(kept)
     fitted = Candidates(np.empty((b, 3, 3)), np.empty((b, 3)), np.empty(b))
     matches = np.empty((b, m), dtype=np.int64)
@@ -240,11 +240,11 @@ def _final_modes(
         R, t = candidates.rotation[kept[row]].copy(), candidates.translation[kept[row]].copy()
         match, _ = associate(problem, R, t, FITTED_COVARIANCE.copy())
         _store(fitted, matches, row, _fit_until_stable(problem, prior, R, t, match))
-    best = _distinct(fitted)
-    for row in _near_best(fitted, best[: effort.improved], effort):
+    best = distinct(fitted)
+    for row in near_best(fitted, best[: effort.improved], effort):
         start = fitted.rotation[row], fitted.translation[row], matches[row], fitted.score[row]
         _store(fitted, matches, row, _without_false_pair(problem, prior, *start))
-    best = _distinct(fitted)
+    best = distinct(fitted)
     gains = np.empty((len(best), m, n))
     for k in range(len(best)):
         gains[k] = all_gains(problem, fitted.rotation[best[k]], fitted.translation[best[k]])
@@ -388,7 +388,7 @@ def _without_false_pair(
 
 
 @compiled
-def _distinct(candidates: Candidates) -> IntArray:
+def distinct(candidates: Candidates) -> IntArray:
     """Return the rows of candidates, best first, without those close to a better one."""
     order = np.argsort(-candidates.score, kind="mergesort")
     kept = np.empty(len(order), dtype=np.int64)
@@ -407,7 +407,7 @@ def _distinct(candidates: Candidates) -> IntArray:
 
 
 @compiled
-def _near_best(candidates: Candidates, order: IntArray, effort: Effort) -> IntArray:
+def near_best(candidates: Candidates, order: IntArray, effort: Effort) -> IntArray:
     """Return the rows of ``order``, best first, that are not far below the best."""
     count = 0
     while count < len(order):

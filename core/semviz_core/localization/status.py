@@ -64,13 +64,19 @@ def decide_status(
     prior: Prior,
     probability: FloatArray | None = None,
     by_chance: float = 0.0,
+    explicable: int | None = None,
 ) -> StatusDecision:
     """Return the status of ``estimate``, the refined first of ``modes``, with its reason.
 
     ``probability`` (b,) of the modes comes from a verifier, if any, ``by_chance`` from
-    ``pairs_by_chance``. The first doubt that applies makes the pose ambiguous.
+    ``pairs_by_chance``. ``explicable`` of the elements can be in the submap; if several cameras saw
+    them, more than can if one did. The first doubt that applies makes the pose ambiguous.
     """
-    decision = _decided(modes, estimate, observed, submap, prior, probability, by_chance)
+    if explicable is None:
+        explicable = explicable_elements(observed, submap)
+    decision = _decided(
+        modes, estimate, observed, submap, prior, probability, by_chance, explicable
+    )
     if modes.sigma_scale == 1.0:
         return decision
     times = f" The stated sigma is about {modes.sigma_scale:.2g}x too small."
@@ -85,9 +91,10 @@ def _decided(
     prior: Prior,
     probability: FloatArray | None,
     by_chance: float,
+    explicable: int,
 ) -> StatusDecision:
     fit = estimate.refinement
-    fitting, explicable = int(fit.inlier.sum()), _explicable(observed, submap)
+    fitting = int(fit.inlier.sum())
     half = min(int(np.ceil(LEAST_SHARE * explicable)), PLENTY)
     needed = max(NEEDED_PAIRS, min(half, SURE_PAIRS))
     of_all = f"{fitting} of {len(observed)} elements"
@@ -138,7 +145,7 @@ def _margin(modes: Modes, probability: FloatArray | None) -> str:
     return f"; the next pose is {gap[1]:.0f} nats worse" if len(gap) > 1 else ""
 
 
-def _explicable(observed: Elements2D, submap: Elements3D) -> int:
+def explicable_elements(observed: Elements2D, submap: Elements3D) -> int:
     """Return how many observed elements have a counterpart of their class in the submap."""
     length = 1 + max(observed.class_id.max(initial=0), submap.class_id.max(initial=0))
     seen = np.bincount(observed.class_id, minlength=length)
