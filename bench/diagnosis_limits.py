@@ -1,12 +1,14 @@
-"""How much ten frames without a true pose can tell of a fault: what no test can exceed.
+"""How much a run without a true pose can tell of a fault: what no test can exceed.
 
     python bench/diagnosis_limits.py --first-seed 5000     (the runs that bench/diagnosis.py judges)
+    python bench/diagnosis_limits.py --first-seed 5000 --frames 100 --runs 12
 
 The best possible test knows all true correspondences, the fault that it has to tell from none, and
 its size: the smallest one that bench/diagnosis.py plants, of a shifted map the largest. The poses
 are unknown, but for priors and odometry. What is left of the effect of the fault once all poses may
 follow it is the log-likelihood ratio to expect: 3 nats are odds of 20 to 1. A wrong extrinsic
-and a time offset change nothing but the true poses, so without these they leave 0 nats.
+and a time offset change nothing but the true poses, so without these they leave 0 nats. A roll of
+the mounting turns gravity in all frames, and so does a wrong gravity prior: 0 nats tell them apart.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,7 +19,7 @@ import numpy as np
 import tests_support  # noqa: F401
 import tyro
 from support.planted_causes import SIGMA_FACTOR
-from support.planted_runs import PlantedRun, plant_in_run
+from support.planted_runs import FRAMES, PlantedRun, plant_in_run
 
 from semviz_core.base.camera import Camera
 from semviz_core.base.frame import adjoint
@@ -39,6 +41,8 @@ LIMITS = (3.0, 20.0)
 @dataclass(frozen=True)
 class Options:
     runs: int = 24
+    frames: int = FRAMES
+    """Of each run."""
     first_seed: int = 2000
 
 
@@ -161,7 +165,7 @@ def main(options: Options) -> None:
     drives: list[PlantedRun] = []
     seed = options.first_seed
     while len(drives) < options.runs:
-        drive = plant_in_run("healthy", seed, roads[seed % 8])
+        drive = plant_in_run("healthy", seed, roads[seed % 8], options.frames)
         drives += [] if drive is None else [drive]
         seed += 1
     found = [faults(drive) for drive in drives]

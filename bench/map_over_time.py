@@ -6,10 +6,14 @@ A simulated street is driven again and again. Of its elements 5 % vanish, 5 % ap
 each between two passes drawn at random. The simulated detector has its recall, noise, occlusion and
 false positives; in each pass, further elements are hidden throughout (parked cars, trees). The map
 is that of the street before the first pass; poses are those that the localizer finds in it.
+
+Beside it stands what an oracle decides, which knows what each detection in the same frames is of
+and what the street's own things hide: what it misses, no association of these detections can find.
 """
 
 import sys
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 
 import numpy as np
 import tests_support  # noqa: F401
@@ -18,8 +22,16 @@ from changing_street import ChangingStreet, drive, place_m
 from numpy.random import Generator
 
 from semviz_annotation.labels.labels import Labels
-from semviz_annotation.mapping.passes.changes import MapChanges, find_changes
+from semviz_annotation.mapping.passes.changes import (
+    GONE,
+    GONE_BESIDE_NEW,
+    LIKELY,
+    SURE,
+    MapChanges,
+    find_changes,
+)
 from semviz_annotation.mapping.passes.evidence import Pass
+from semviz_annotation.mapping.passes.existence import PassCounts, existence_of
 from semviz_core.base.detector_model import NoiseName
 from semviz_core.simulation.layout import Section, StreetOptions
 from semviz_core.simulation.street import Street
@@ -67,29 +79,83 @@ def _offset_m(rng: Generator) -> np.ndarray:
 class Tally:
     """What was found, of what there was."""
 
-    found: dict[str, int]
-    planted: dict[str, int]
+    found: Counter[str]
+    by_oracle: Counter[str]
+    planted: Counter[str]
     lost: int = 0
     standing: int = 0
     false_new: int = 0
 
 
-def judge(world: ChangingStreet, passes: list[Pass], occasion: int, tally: Tally) -> None:
+class Oracle:
+    """Decides by the same filter, knowing what each detection of a sure frame is of."""
+
+    def __init__(self, world: ChangingStreet, noise: NoiseName) -> None:
+        self._world, self._noise = world, noise
+        self._rows = {int(id_): row for row, id_ in enumerate(world.street.truth_map.elements.id)}
+        self._counts: list[tuple[np.ndarray, ...]] = []
+
+    def add(self, one: Pass) -> None:
+        """Count the chances, the expected and the true detections (n,) of a pass."""
+        world, number, n = self._world, int(one.name), len(self._rows)
+        hidden = world.hidden(number, HIDDEN)
+        chances, seen, expected = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n)
+        for position in one.sure:
+            index = one.frames[position].index
+            shown = world.street.labels(index, "left")[1]
+            away_m = world.street.distance_m(shown, index, "left")
+            near = away_m < one.detector.far_m
+            rows = [self._rows[int(id_)] for id_ in shown[near]]
+            chances[rows] += 1
+            expected[rows] += one.detector.recall_at(away_m[near])
+            _, ids = world.detections(number, index, self._noise, hidden)
+            seen[[self._rows[id_] for id_ in set(ids[ids >= 0].tolist())]] += 1
+        expected *= seen.sum() / expected[seen > 0].sum()
+        self._counts.append((np.maximum(chances, seen), expected, seen))
+
+    def decide(self) -> None:
+        """Judge all elements by the passes so far; one that moves is two."""
+        counts = PassCounts(*(np.column_stack(each) for each in zip(*self._counts, strict=True)))
+        mapped = np.array([id_ not in self._world.appears for id_ in self._rows])
+        before, after, moved = counts.seen.copy(), counts.seen.copy(), np.zeros_like(mapped)
+        for id_, number in self._world.moves.items():
+            before[self._rows[id_], number:] = after[self._rows[id_], :number] = 0
+            moved[self._rows[id_]] = True
+        self._mapped = existence_of(replace(counts, seen=before), mapped)
+        self._new = existence_of(replace(counts, seen=after), mapped & ~moved)
+
+    def tells(self, kind: str, id_: int) -> bool:
+        """Whether it finds a change."""
+        row = self._rows[id_]
+        now = self._mapped.now[row]
+        if kind == "vanished":
+            return bool(now < GONE)
+        is_new = bool(self._new.ever[row] > SURE and self._new.now[row] > LIKELY)
+        return is_new and (kind == "new" or bool(now < GONE_BESIDE_NEW))
+
+
+def judge(
+    world: ChangingStreet, passes: list[Pass], occasion: int, oracle: Oracle, tally: Tally
+) -> None:
     """Count the changes before the pass ``occasion`` that the passes so far tell."""
     first, truth = world.first_map, world.street.truth_map
     result = find_changes(passes, first, Labels(triangle_center=first.triangle_center))
     told = {(change.kind, change.name) for change in result.changes}
+    oracle.decide()
     new_m = np.array([c.place_m[:2] for c in result.changes if c.kind == "new"]).reshape(-1, 2)
-    for kind, changed in (("vanished", world.vanishes), ("moved", world.moves)):
+    planted = {"vanished": world.vanishes, "new": world.appears, "moved": world.moves}
+    for kind, changed in planted.items():
         for id_ in (id_ for id_, before in changed.items() if before == occasion):
-            if world.is_shown(id_):
-                tally.planted[kind] += 1
-                tally.found[kind] += (kind, first.name_of(id_)) in told
-    for id_ in (id_ for id_, before in world.appears.items() if before == occasion):
-        if world.is_shown(id_):
-            tally.planted["new"] += 1
-            away_m = np.linalg.norm(new_m - place_m(truth, id_), axis=1)
-            tally.found["new"] += bool((away_m < FOUND_WITHIN_M).any())
+            if not world.is_shown(id_):
+                continue
+            if kind == "new":
+                away_m = np.linalg.norm(new_m - place_m(truth, id_), axis=1)
+                found = bool((away_m < FOUND_WITHIN_M).any())
+            else:
+                found = (kind, first.name_of(id_)) in told
+            tally.planted[kind] += 1
+            tally.found[kind] += found
+            tally.by_oracle[kind] += oracle.tells(kind, id_)
     if occasion == OCCASIONS[-1]:
         _count_false(world, result, new_m, tally)
 
@@ -109,17 +175,19 @@ def _count_false(
 
 def main(options: Options) -> int:
     start, end = map(int, options.seeds.split(":"))
-    tally = Tally(dict.fromkeys(KINDS, 0), dict.fromkeys(KINDS, 0))
+    tally = Tally(Counter(), Counter(), Counter())
     for seed in range(start, end):
         world = random_world(seed)
-        passes: list[Pass] = []
+        oracle, passes = Oracle(world, options.noise), list[Pass]()
         for occasion in OCCASIONS:
             while len(passes) < occasion + WITHIN:
                 passes.append(drive(world, len(passes), options.noise, HIDDEN))
-            judge(world, passes, occasion, tally)
+                oracle.add(passes[-1])
+            judge(world, passes, occasion, oracle, tally)
         print(f"street {seed}: {tally}", flush=True)
     for kind in KINDS:
-        print(f"{kind:<9} {tally.found[kind]} of {tally.planted[kind]} within {WITHIN} passes")
+        told = f"{tally.found[kind]} of {tally.planted[kind]} within {WITHIN} passes"
+        print(f"{kind:<9} {told}, the oracle {tally.by_oracle[kind]}")
     print(f"standing elements lost: {tally.lost} of {tally.standing}")
     print(f"new elements that are none: {tally.false_new}")
     return 0

@@ -13,6 +13,7 @@ from semviz_core.base.frame import Frame
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap, footprint_m
+from semviz_core.common.arrays import IntArray
 from semviz_core.datasets.priors import PriorOptions, simulate_prior
 from semviz_core.localization.localizer import Localizer
 from semviz_core.research.evaluation.roads import move_element
@@ -62,23 +63,32 @@ class ChangingStreet:
             shown.update(ids[self.street.distance_m(ids, frame.index, "left") < near].tolist())
         return shown
 
-    def observed(self, number: int, index: int, noise: NoiseName, hidden: set[int]) -> Elements2D:
-        """Return the detections of a frame of a pass."""
+    def hidden(self, number: int, share: float) -> set[int]:
+        """Return the elements that things hide throughout a pass, a share of all."""
+        rng = np.random.default_rng([self.street.seed, 2, number])
+        ids = self.street.truth_map.elements.id
+        return set(ids[rng.random(len(ids)) < share].tolist())
+
+    def detections(
+        self, number: int, index: int, noise: NoiseName, hidden: set[int]
+    ) -> tuple[Elements2D, IntArray]:
+        """Return the detections (m) of a frame of a pass, and which element (m,) each is of; -1: of
+        none."""
         detection = SimulatedDetector(self.street, noise, number).detect(index)
         is_there = [self._is_there(id_, number, hidden) for id_ in detection.element_id.tolist()]
         rows = np.flatnonzero(is_there)
-        observed = detection.observed[rows]
+        observed, ids = detection.observed[rows], detection.element_id[rows]
         anchor_px, end_px = observed.anchor_px.copy(), observed.end_px.copy()
         elements = self.street.truth_map.elements
         pose = self.street.frames[index].T_map_camera
         assert pose is not None
-        for row, id_ in enumerate(detection.element_id[rows].tolist()):
+        for row, id_ in enumerate(ids.tolist()):
             if id_ in self.moves and number < self.moves[id_]:
                 true = elements[elements.id == id_]
                 shift = [self._shift_px(point, id_, pose) for point in (true.anchor_m, true.end_m)]
                 anchor_px[row] += shift[0]
                 end_px[row] += shift[1]
-        return replace(observed, anchor_px=anchor_px, end_px=end_px)
+        return replace(observed, anchor_px=anchor_px, end_px=end_px), ids
 
     def _is_there(self, id_: int, number: int, hidden: set[int]) -> bool:
         if id_ < 0:
@@ -97,9 +107,7 @@ def drive(
     world: ChangingStreet, number: int, noise: NoiseName = "low", hidden_share: float = 0.0
 ) -> Pass:
     """Localize one pass in the first map; things hide a share of the elements throughout."""
-    rng = np.random.default_rng([world.street.seed, 2, number])
-    ids = world.street.truth_map.elements.id
-    hidden = set(ids[rng.random(len(ids)) < hidden_share].tolist())
+    hidden = world.hidden(number, hidden_share)
     first, camera = world.first_map, world.street.rig.left
     localizer = Localizer(detector=SIMULATED_DETECTOR)
     frames: list[Frame] = []
@@ -107,7 +115,7 @@ def drive(
     for frame in world.street.frames[number % STEP :: STEP]:
         assert frame.T_map_camera is not None
         prior = simulate_prior(frame.T_map_camera, PRIOR, [number, frame.index])
-        observed = world.observed(number, frame.index, noise, hidden)
+        observed, _ = world.detections(number, frame.index, noise, hidden)
         submap = first.crop(prior.position_m, 50.0)
         frames.append(replace(frame, T_map_camera=None))
         results.append(localizer.localize(observed, submap, camera, prior))

@@ -12,7 +12,6 @@ import numpy as np
 
 from semviz.runs.metrics import Errors, difference, errors_of
 from semviz.runs.run import KNOWN_DIAGNOSES, TRACK, FrameRecord, Run, assumed_detector
-from semviz_core.base.classes import ClassSet
 from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.frame import Odometry
 from semviz_core.base.localization import Localization
@@ -200,7 +199,7 @@ def diagnosis_card(run: Run, record: FrameRecord, detection: DetectionErrors) ->
     rows = [
         ("Also found", noticed_faults(run, record)),
         *_detection_rows(run, detection),
-        *_rows(record, errors, run.semantic_map.classes),
+        *_rows(run, record, errors),
     ]
     listed = 1 if _adds_to_status(run, record) else LISTED  # the diagnosis needs the space
     confidence = diagnosis.confidence if _finds_fault(run, record) else None
@@ -278,7 +277,7 @@ def _shortened(names: Sequence[str]) -> str:
     return ", ".join([*names[:LISTED], *others])
 
 
-def _rows(record: FrameRecord, errors: Errors | None, classes: ClassSet) -> list[tuple[str, str]]:
+def _rows(run: Run, record: FrameRecord, errors: Errors | None) -> list[tuple[str, str]]:
     result = record.localization
     error = "" if errors is None else f"{errors.distance_m:.2f} m · {errors.angle_deg:.2f}°"
     return [
@@ -286,18 +285,19 @@ def _rows(record: FrameRecord, errors: Errors | None, classes: ClassSet) -> list
         ("Seen / pairs / inliers", _counts(result)),
         ("Uncertainty, 1σ", _sigma(result)),
         ("Error of the prior", _prior(record)),
-        _outliers(record, classes),
+        _outliers(run, record),
     ]
 
 
-def _outliers(record: FrameRecord, classes: ClassSet) -> tuple[str, str]:
+def _outliers(run: Run, record: FrameRecord) -> tuple[str, str]:
     """Return a label and the outliers, worst first: at the true pose or, if it is unknown, among
     the estimated pairs."""
     result, truth = record.localization, record.frame.T_map_camera
     if truth is not None:
         label = "Outliers, true pose"
         pairs = true_pairs(record)
-        fit = pair_residuals(truth.inverse(), result.camera, result.observed, result.submap, pairs)
+        seen, submap, detector = result.observed, result.submap, detector_of(run)
+        fit = pair_residuals(truth.inverse(), result.camera, seen, submap, pairs, detector)
         size_px, inlier = np.sqrt(np.nansum(fit.residual_px**2, axis=1)), fit.inlier
     elif result.refinement is not None:
         label, pairs = "Outliers", result.refinement.pairs
@@ -308,7 +308,8 @@ def _outliers(record: FrameRecord, classes: ClassSet) -> tuple[str, str]:
     submap, outliers = result.submap, []
     for row in (row for row in np.argsort(-size_px) if not inlier[row]):
         column = int(pairs[row, 1])
-        name = classes.element_name(int(submap.class_id[column]), int(submap.id[column]))
+        class_id, id = int(submap.class_id[column]), int(submap.id[column])
+        name = run.semantic_map.classes.element_name(class_id, id)
         outliers.append(f"{name} {size_px[row]:.0f} px")
     return label, _shortened(outliers)
 

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from semviz.runs.images import jpeg
-from semviz.runs.run import FrameRecord, RunInfo
+from semviz.runs.run import FrameRecord, RunInfo, assumed_detector
 from semviz.runs.writer import RunWriter, unfinished_run
 from semviz_core.base.camera import Camera, Rig
+from semviz_core.base.detector_model import SHIPPED_DETECTOR, DetectorModel
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Frame, Prior
 from semviz_core.base.localization import Localization, Match, Refinement, Status
@@ -74,13 +75,20 @@ class MatchedPose:
             covariance = float_array(self.covariance, (6, 6), "covariance")
             object.__setattr__(self, "covariance", covariance)
 
-    def localization(self, method: str, camera: Camera, semantic_map: SemanticMap) -> Localization:
+    def localization(
+        self,
+        method: str,
+        camera: Camera,
+        semantic_map: SemanticMap,
+        detector: DetectorModel = SHIPPED_DETECTOR,
+    ) -> Localization:
         """Return it as a localization in a map. Raise SemvizError if a match is not in the map."""
         submap = self._submap(semantic_map)
         pairs = self._pairs(submap)
         pose, fit = self.T_camera_map, None
         if pose is not None:
-            fit = fitted_pairs(pose, camera, self.observed, submap, _first_of_each(pairs))
+            first = _first_of_each(pairs)
+            fit = fitted_pairs(pose, camera, self.observed, submap, first, detector)
         status: Status = self.status or ("cannot" if pose is None else "ok")
         if (status == "cannot") != (pose is None):
             raise SemvizError(f"status '{status}' does not go with {'no' if pose is None else 'a'} "
@@ -127,10 +135,15 @@ class MatchedPose:
 
 
 def fitted_pairs(
-    T_camera_map: Pose, camera: Camera, observed: Elements2D, submap: Elements3D, pairs: IntArray
+    T_camera_map: Pose,
+    camera: Camera,
+    observed: Elements2D,
+    submap: Elements3D,
+    pairs: IntArray,
+    detector: DetectorModel,
 ) -> Refinement:
     """Return one-to-one pairs (k, 2) and their residuals at a pose; nothing is iterated."""
-    residuals = pair_residuals(T_camera_map, camera, observed, submap, pairs)
+    residuals = pair_residuals(T_camera_map, camera, observed, submap, pairs, detector)
     cost = np.array([np.minimum(residuals.chi2, 1e9).sum()])
     return Refinement(pairs, residuals.residual_px, residuals.chi2, residuals.inlier, cost)
 
@@ -256,7 +269,9 @@ class RunRecorder:
             raise SemvizError(f"frame {index}: {remedy}, for all frames or for none")
         result = found
         if isinstance(found, MatchedPose):
-            result = found.localization(self._info.method, self._rig.left, self._map)
+            result = found.localization(
+                self._info.method, self._rig.left, self._map, assumed_detector(self._info)
+            )
         assert isinstance(result, Localization)
         ids = np.full(len(result.observed), UNKNOWN_ID) if element_id is None else element_id
         frame = Frame(index, float(index) if time_s is None else float(time_s), truth)

@@ -18,13 +18,14 @@ from pydantic import Field
 
 from semviz.workspace.checked_file import CheckedModel, changing, read_checked, write_checked
 from semviz.workspace.workspace import Workspace
-from semviz_annotation.mapping.passes.candidates import SAME_M
 from semviz_annotation.mapping.passes.changes import Change, ChangeKind, MapChanges
 from semviz_core.common.errors import SemvizError
 
 Answer: TypeAlias = Literal["make", "keep", "label", "open"]
 """``make`` the change; ``keep`` the map as it is; ask for a ``label``, and keep the map until then;
 ``open``: not decided."""
+SAME_M = 1.5
+"""A new element of other passes is the same one up to this distance."""
 HERE = "."
 """The folder of the workspace itself."""
 _Name = Annotated[str, Field(max_length=80)]

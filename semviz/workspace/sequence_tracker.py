@@ -77,7 +77,8 @@ class SequenceTracker:
     ) -> Refinement:
         """Return the tracked pairs and their residuals against the map at the tracked pose."""
         pairs = np.argwhere(tracked.element_id[:, None] == submap.id)
-        return fitted_pairs(T_camera_map, self.camera, observed, submap, pairs)
+        detector = self.localizer.detector
+        return fitted_pairs(T_camera_map, self.camera, observed, submap, pairs, detector)
 
     def _submap(self, T_camera_map: Pose | None, prior: Prior | None) -> Elements3D:
         if T_camera_map is not None:

@@ -18,9 +18,14 @@ from semviz_annotation.mapping.passes.changes import Change, MapChanges, find_ch
 from semviz_annotation.mapping.passes.evidence import Pass, evidence_of
 from semviz_annotation.mapping.passes.existence import PassCounts, change_between, existence_of
 from semviz_annotation.mapping.quality.diff import diff_maps
-from semviz_core.base.elements import joined
+from semviz_core.base.camera import Camera
+from semviz_core.base.detector_model import SIMULATED_DETECTOR
+from semviz_core.base.elements import Elements2D, Elements3D, joined
+from semviz_core.base.frame import Frame
 from semviz_core.base.localization import Localization
 from semviz_core.base.map_file import load_map, save_map
+from semviz_core.base.pose import Pose
+from semviz_core.base.semantic_map import MapFrame, SemanticMap
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.simulation.street import Street
@@ -246,6 +251,42 @@ def detects(result: Localization, at_m: FloatArray) -> bool:
     point = result.T_camera_map.apply(at_m[None])
     off_px = result.observed.anchor_px - result.camera.project(point)
     return bool(point[0, 2] > 0.0 and (np.abs(off_px).max(axis=1) < 12.0).any())
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_passes_together_place_what_each_sees_from_one_direction(seed: int) -> None:
+    """Three frames of a pass see a far pole within a degree or two, so its distance is open by
+    metres. A pass may have another camera."""
+    passes = [approaching(np.random.default_rng([seed, number]), number) for number in range(5)]
+    found = candidates(passes, EMPTY_MAP, Labels(), lambda what, done, of: None)
+    away_m = np.linalg.norm(found.anchor_m[:, :2] - FAR_POLE_M[0, :2], axis=1)
+    assert len(found) == 1
+    assert away_m[0] < 1.2
+
+
+EMPTY_MAP = SemanticMap(Elements3D.from_ends([], [], [], []), MapFrame("street"))
+FAR_POLE_M = np.array([[6.0, 40.0, 3.4], [6.0, 40.0, 0.1]])
+AHEAD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+def approaching(rng: np.random.Generator, number: int) -> Pass:
+    """Three frames that see the pole from 38 to 28 m, with noise of detections and poses."""
+    f = 720.0 + 300.0 * (number % 2)
+    camera = Camera(1240, 376, np.array([[f, 0.0, 620.0], [0.0, f, 180.0], [0.0, 0.0, 1.0]]))
+    frames: list[Frame] = []
+    results: list[Localization] = []
+    for index, y in enumerate(np.sort(rng.choice(np.arange(2.0, 13.0), 3, replace=False))):
+        T = Pose(AHEAD, -AHEAD @ np.array([0.0, y, 1.65]))
+        px = camera.project(T.apply(FAR_POLE_M)) + rng.standard_normal((2, 2))
+        noise = Pose.from_rotvec(rng.normal(0.0, 5e-4, 3), rng.normal(0.0, 0.02, 3))
+        seen = Elements2D.from_ends(px[:1], px[1:], [0])
+        covariance = np.diag([0.02**2] * 3 + [5e-4**2] * 3)
+        frames.append(Frame(index, float(index)))
+        results.append(
+            Localization("test", camera, None, seen, EMPTY_MAP.elements, "ok", "It fits.",
+                         noise @ T, covariance)
+        )  # fmt: skip
+    return Pass(f"{number}", tuple(frames), tuple(results), SIMULATED_DETECTOR)
 
 
 def test_a_street_that_does_not_change_is_found_unchanged(world: ChangingStreet) -> None:

@@ -10,14 +10,21 @@ import numpy as np
 import pytest
 from command_line import call
 from small_runs import small_run
+from support.planted_runs import plant_in_run
 
 from semviz import MatchedPose, RunRecorder, load_run
 from semviz.runs.comparison import compare_runs
-from semviz.runs.diagnosis import frame_diagnosis
+from semviz.runs.diagnosis import (
+    DetectionErrors,
+    diagnosis_card,
+    frame_diagnosis,
+    run_diagnosis,
+)
 from semviz.runs.run import FrameRecord, Run
 from semviz.workspace.workspace import TRUTH, Workspace
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.trajectory import save_trajectory
+from semviz_core.research.evaluation.roads import simulated_road
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -82,6 +89,27 @@ def test_wrong_matches_of_a_localizer_are_named(tmp_path: Path) -> None:
         )
     wrong = load_run(tmp_path / "wrong.rrd")
     assert frame_diagnosis(wrong, wrong.frames[0]).fault.kind == "wrong matches"
+
+
+def test_poles_whose_bottoms_are_hidden_fit_their_elements(tmp_path: Path) -> None:
+    """A car hides half of the bottoms, and the detector takes what it sees for the bottom."""
+    planted = plant_in_run("healthy", 2001, simulated_road(2001), 12)
+    assert planted is not None
+    camera = planted.frames[0][0].camera
+    with RunRecorder(tmp_path / "theirs.rrd", planted.semantic_map, camera, "theirs") as recorder:
+        for index, (result, truth) in enumerate(planted.frames):
+            pose, ids = truth.T_camera_map, truth.element_id
+            assert ids is not None
+            rows = np.flatnonzero(ids >= 0)
+            matched = MatchedPose(result.observed, pose, np.column_stack([rows, ids[rows]]))
+            recorder.add(index, matched, truth=pose.inverse(), element_id=ids)
+    run = load_run(tmp_path / "theirs.rrd")
+    fits = [frame.localization.refinement for frame in run.frames]
+    inlier = np.concatenate([fit.inlier for fit in fits if fit is not None])
+    assert inlier.mean() > 0.95
+    assert run_diagnosis(run).elements == ()
+    card = diagnosis_card(run, run.frames[0], DetectionErrors((), ()))
+    assert "Outliers, true pose" not in dict(card.rows)
 
 
 def test_an_exception_leaves_a_partial_run(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.special import chdtri  # the chi-square quantile; scipy.stats is slow to import
 
 from semviz_core.base.camera import MIN_DEPTH_M, Camera
+from semviz_core.base.detector_model import LABELS, DetectorModel
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
@@ -81,10 +82,16 @@ def new_rows() -> Rows:
 
 
 def pair_residuals(
-    T_camera_map: Pose, camera: Camera, observed: Elements2D, elements: Elements3D, pairs: IntArray
+    T_camera_map: Pose,
+    camera: Camera,
+    observed: Elements2D,
+    elements: Elements3D,
+    pairs: IntArray,
+    detector: DetectorModel = LABELS,
 ) -> PairResiduals:
     """Return the residuals of ``pairs`` (k, 2): rows of ``observed`` and of ``elements``."""
-    return problem_residuals(PoseProblem.of(camera, observed, elements), T_camera_map, pairs)
+    problem = PoseProblem.of(camera, observed, elements, detector)
+    return problem_residuals(problem, T_camera_map, pairs)
 
 
 def problem_residuals(problem: PoseProblem, T_camera_map: Pose, pairs: IntArray) -> PairResiduals:

@@ -5,7 +5,7 @@ Views have no distortion; observed pixels are undistorted accordingly. Rows are 
 
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import NamedTuple, TypeVar
@@ -165,6 +165,42 @@ class LabelObservations(NamedTuple):
     elements: tuple[LabelElement, ...]
     """The elements labelled in the chosen frames, by number."""
     label_rows: tuple[Observation, ...]
+
+    @classmethod
+    def joined(cls, parts: "Sequence[LabelObservations]") -> "LabelObservations":
+        """Concatenate labels of different frames and different elements, whatever their cameras.
+
+        Frames and element numbers of each part come after those of the part before.
+        """
+        before = (0, 0, 0)
+        shifted: list[ObservationArray] = []
+        for part in parts:
+            view, landmark, row = before
+            of = part.observations
+            shifted.append(
+                replace(
+                    of,
+                    view=of.view + view,
+                    landmark=of.landmark + landmark,
+                    label_row=of.label_row + row,
+                )
+            )
+            before = view + len(part.views), landmark + of.count, row + len(part.label_rows)
+        arrays = {
+            field.name: np.concatenate([getattr(of, field.name) for of in shifted])
+            for field in fields(ObservationArray)
+            if field.name != "count"
+        }
+        views = (
+            np.concatenate([getattr(part.views, field.name) for part in parts])
+            for field in fields(ViewArray)
+        )
+        return cls(
+            ViewArray(*views),
+            ObservationArray(**arrays, count=before[1]),
+            tuple(element for part in parts for element in part.elements),
+            tuple(row for part in parts for row in part.label_rows),
+        )
 
 
 def collect_observations(
