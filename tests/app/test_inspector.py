@@ -307,6 +307,19 @@ def test_a_broken_run_is_said_in_one_line_and_the_page_lives_on(url: str, page: 
     assert page.locator("#run").input_value() == "first"
 
 
+BRIGHTNESS = """() => {
+  const canvas = document.querySelector("#matrix-canvas");
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  let sum = 0, opaque = 0;
+  for (let i = 0; i < data.length; i += 4) {
+    if (data[i + 3] < 255) continue;
+    sum += data[i] + data[i + 1] + data[i + 2];
+    opaque += 1;
+  }
+  return sum / (3 * opaque);
+}"""
+
+
 def test_theme_and_help(url: str, page: "Page") -> None:
     open_flat(page, url)
     before = page.evaluate("getComputedStyle(document.body).backgroundColor")
@@ -319,6 +332,18 @@ def test_theme_and_help(url: str, page: "Page") -> None:
         assert said in help_text
     page.keyboard.press("Escape")
     wait_for(page, lambda: page.locator("dialog").count() == 0, "the help closed")
+
+
+def test_pictures_follow_the_theme_of_the_system(url: str, page: "Page") -> None:
+    page.emulate_media(color_scheme="dark")
+    open_flat(page, url)
+
+    def brightness() -> float:
+        return float(page.evaluate(BRIGHTNESS))
+
+    wait_for(page, lambda: 0.0 < brightness() < 120.0, "a dark matrix")
+    page.emulate_media(color_scheme="light")
+    wait_for(page, lambda: brightness() > 150.0, "a light matrix")
 
 
 @pytest.mark.parametrize("fonts", FONTS)

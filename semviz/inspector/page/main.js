@@ -51,7 +51,7 @@ const PLAY_INTERVAL_MS = 60; // between frames
 
 export class Page {
   constructor() {
-    startTheme();
+    startTheme(() => this.#showTheme());
     this.store = new Store();
     this.session = ""; // of the 3D scene
     /** @type {import("/static/scene.js").RenderGate | null} */
@@ -377,7 +377,12 @@ export class Page {
   }
 
   switchTheme() {
-    this.socket.send("set_theme", { theme: switchTheme() });
+    switchTheme();
+    this.#showTheme();
+  }
+
+  #showTheme() {
+    this.socket.send("set_theme", { theme: currentTheme() });
     this.forEachPanel((panel) => panel.showTheme?.());
   }
 

@@ -156,8 +156,8 @@ def find_changes(
     passes = [one for one in passes if one.sure]
     if len(passes) < 2:
         raise SemvizError(
-            f"{len(passes)} passes have frames with status ok; one pass cannot tell a miss from a "
-            "change: give 2 or more"
+            f"{'only one pass' if passes else 'no pass'} has frames with status ok; one pass "
+            "cannot tell a miss from a change: give 2 or more"
         )
     extra = candidates(passes, semantic_map, labels, on_progress)
     whole = joined(semantic_map.elements, extra)
