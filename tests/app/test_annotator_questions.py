@@ -45,6 +45,7 @@ def test_two_versions_of_a_label_are_asked_about(
     finally:
         served.annotator.lock.release()
     driver.page.wait_for_selector("#conflict:has-text('Both stay in the history')")
+    driver.page.wait_for_selector("#saved:has-text('Waits for your answer')")
     driver.page.click(f"#conflict button:has-text('{'mine' if mine else 'theirs'}')")
     driver.page.wait_for_selector(f"#saved:has-text('Saved operation {3 if mine else 4}')")
     (now,) = served.labels.observations.values()

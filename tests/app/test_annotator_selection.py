@@ -67,7 +67,7 @@ def test_what_a_rectangle_touches_is_changed_together_and_undone_as_one(
     assert len(signs) > 1
     assert len(poles) > 1
     select_all_with_rectangle(driver)
-    assert page.inner_text("#card h2") == f"{len(here(before))} selected"
+    page.wait_for_selector(f"#card h2:text-is('{len(here(before))} selected')")
     chosen = page.locator("#elements .row.chosen").count()
     assert chosen == len(here(before))
 

@@ -62,7 +62,7 @@ export class TopBar {
         ? ["wrong", `${trouble.replace(/\.$/, "")}, ${pending.length} kept here`]
         : !connected
           ? ["offline", `Offline, ${pending.length} kept here`]
-          : question
+          : unsaved && question
             ? ["offline", "Waits for your answer"]
             : unsaved
               ? ["saving", `Saving ${unsaved} …`]
