@@ -194,7 +194,15 @@ def _mapped(
     error = rng.normal(0.0, MAP_SIGMA_M, (len(world), 3))
     moved = rng.random(len(world)) < kind.moved
     error[moved, :2] += rng.normal(0.0, 6.0, (int(moved.sum()), 2))
-    return replace(world, anchor_m=world.anchor_m + error, end_m=world.end_m + error), ~moved
+    shared = np.kron(np.ones((2, 2)), MAP_SIGMA_M**2 * np.eye(3))
+    covariance_m2 = np.where(world.is_line[:, None, None], shared, world.covariance_m2)
+    mapped = replace(
+        world,
+        anchor_m=world.anchor_m + error,
+        end_m=world.end_m + error,
+        covariance_m2=covariance_m2,
+    )
+    return mapped, ~moved
 
 
 def _false(true: int, kind: Kind, rng: np.random.Generator) -> Elements2D:
