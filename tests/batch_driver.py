@@ -17,7 +17,8 @@ def main(address: str, where: str) -> None:
     drives = [Drive(f"d{number:02}", "/nowhere") for number in range(60)]
     left = [drive for drive in drives if drive.name not in done]
     for outcome in Cluster(address).run(Work(where, "june", slow_command), left, print):
-        print(outcome.drive, outcome.failure or "done", flush=True)
+        said = outcome.drive, outcome.failure or "done"
+        print(*said, file=sys.__stdout__, flush=True)  # sys.stdout is that of Ray meanwhile
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,22 +27,33 @@ TESTS = str(Path(__file__).parents[1])
 FIGURES = ("frames", "status", "rte_m", "rre_deg", "share_below_1m", "diagnoses")
 
 
-@pytest.fixture(scope="module")
-def machines() -> Iterator[Any]:
-    """A cluster of a head and two other machines, of one core each."""
+@contextmanager
+def cluster(others: int) -> Iterator[Any]:
+    """A cluster of a head and so many other machines, of one core each."""
     pytest.importorskip("ray")
     from ray.cluster_utils import Cluster as Machines
 
     before = os.environ.get("PYTHONPATH")
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [TESTS, before]))  # of its workers
-    machines = Machines(head_node_args={"num_cpus": 1, "include_dashboard": False})
-    for _ in range(2):
+    head = {"num_cpus": 1, "include_dashboard": False}
+    machines = Machines(initialize_head=True, head_node_args=head)
+    for _ in range(others):
         machines.add_node(num_cpus=1)
     yield machines
     machines.shutdown()
     os.environ.pop("PYTHONPATH")
     if before is not None:
         os.environ["PYTHONPATH"] = before
+
+
+@pytest.fixture(scope="module")
+def machines() -> Iterator[Any]:
+    with cluster(1) as machines:
+        yield machines
+
+
+NAMES = [f"d{number:02}" for number in range(60)]
+"""Of the drives of ``batch_driver``."""
 
 
 def drives(count: int) -> list[Drive]:
@@ -107,17 +119,39 @@ def test_two_drivers_of_one_batch_one_of_them_killed(machines: Any, tmp_path: Pa
     collection = Collection.create(tmp_path / "city")
     both = driver(machines, tmp_path / "city"), driver(machines, tmp_path / "city")
     assert both[0].stdout is not None
-    both[0].stdout.readline()  # it works
+    assert both[0].stdout.readline().endswith(" done\n")
     both[0].kill()
     lines = both[1].communicate(timeout=200)[0].splitlines()
     assert both[1].returncode == 0
+    assert lines
     assert all(line.endswith(" done") for line in lines)
     batch = DriveBatch.open(collection, "june")
-    names = [f"d{number:02}" for number in range(60)]
-    assert batch.drives_with("runs") == [one.drive for one in batch.done_before()] == names
+    assert batch.drives_with("runs") == [one.drive for one in batch.done_before()] == NAMES
     assert driver(machines, tmp_path / "city").communicate(timeout=200)[0] == ""
-    for name in names:
+    for name in NAMES:
         assert collection.store.read(batch.output("runs", name)) == f"{name}.rrd".encode() * 1000
+
+
+def test_the_head_dies_and_the_same_command_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RAY_gcs_rpc_server_reconnect_timeout_s", "5")  # not a minute
+    collection = Collection.create(tmp_path / "city")
+    with cluster(0) as machines:
+        first = driver(machines, tmp_path / "city")
+        assert first.stdout is not None
+        done = {first.stdout.readline().split()[0]}
+        machines.head_node.kill_gcs_server()
+        done |= {line.split()[0] for line in first.communicate(timeout=200)[0].splitlines()}
+        assert first.returncode != 0
+    batch = DriveBatch.open(collection, "june")
+    assert done <= {one.drive for one in batch.done_before()} < set(NAMES)
+    with cluster(0) as machines:
+        second = driver(machines, tmp_path / "city")
+        again = {line.split()[0] for line in second.communicate(timeout=200)[0].splitlines()}
+    assert second.returncode == 0
+    assert not done & again
+    assert batch.drives_with("runs") == [one.drive for one in batch.done_before()] == NAMES
 
 
 def test_a_collection_is_localized_and_evaluated(
