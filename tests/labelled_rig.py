@@ -5,7 +5,7 @@ import numpy as np
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.edits import AddMany, AddObservation
 from semviz_annotation.labels.labels import new_id
-from semviz_core.base.frame import Frame, Side
+from semviz_core.base.frame import Frame
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
 from semviz_core.datasets.rig_cameras import cameras_by_frame
@@ -48,7 +48,7 @@ def labels_of(
     names: dict[int, str] = {}
     added: list[AddObservation] = []
     for frame in source.frames:
-        sides: tuple[Side, ...] = ("left",) if source.rig.right is None else ("left", "right")
+        sides = source.rig.sides
         for side in sides:
             mount = cameras[camera_of.get(frame.index, side)]
             model = source.rig.left if source.rig.right is None else source.rig.right

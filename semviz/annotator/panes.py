@@ -41,7 +41,7 @@ class Cameras:
     @property
     def sides(self) -> tuple[Side, ...]:
         """The images of a frame."""
-        return ("left",) if self.rig.right is None else ("left", "right")
+        return self.rig.sides
 
     def T_camera_map(self, frame_index: int) -> Pose | None:  # noqa: N802 - the frames' names
         """Return the pose of a frame's left camera; None if it is unknown."""

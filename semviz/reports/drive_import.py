@@ -205,5 +205,5 @@ def stopped_workspace(path: Path, command: str) -> Workspace | None:
 
 
 def _images_of(source: ImageFolder) -> list[tuple[int, Side]]:
-    sides: tuple[Side, ...] = ("left",) if source.rig.right is None else ("left", "right")
+    sides = source.rig.sides
     return [(frame.index, side) for frame in source.frames for side in sides]

@@ -122,7 +122,7 @@ def mapped_sides(
     Raise SemvizError if no label or detection agrees with an element.
     """
     check_map_frame(workspace.read_map(map_name), workspace.source)
-    sides: tuple[Side, ...] = ("left",) if workspace.source.rig.right is None else ("left", "right")
+    sides = workspace.source.rig.sides
     labelled = [row for side in sides for row in _of_side(workspace, map_name, side, frames)]
     if not labelled:
         raise SemvizError(

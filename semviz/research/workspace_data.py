@@ -162,7 +162,7 @@ def labelled_sides(workspace: Workspace, frames: range | None = None) -> list[La
     labels = all_labels.without_left_out()
     cameras = Cameras(source.rig, source.frames)
     places = element_positions.ElementPositions(cameras)
-    sides: tuple[Side, ...] = ("left",) if source.rig.right is None else ("left", "right")
+    sides = source.rig.sides
     labelled = []
     for index in sorted(frame.index for frame in source.frames):
         state = labels.review(index)

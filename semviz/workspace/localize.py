@@ -180,13 +180,16 @@ class SequenceLocalization:
                 estimate = estimate.after(search.localize(*request), stated, search.detector)
         return estimate
 
+    def _with_sigmas(self, stated: Elements2D) -> Elements2D:
+        """Return elements with the sigmas that they are localized with."""
+        return self.noise.applied(stated) if self.options.fit_sigmas else stated
+
     def _localized(self, frames: tuple[Frame, ...]) -> Iterator[FrameRecord]:
         options = self.options
         tracker = self._tracker() if options.track else None
         for before, frame in zip((None, *frames), frames, strict=False):
-            observed, element_id = self.observe(frame)
-            if options.fit_sigmas:
-                observed = self.noise.applied(observed)
+            stated, element_id = self.observe(frame)
+            observed = self._with_sigmas(stated)
             prior, odometry = self._prior(frame), None
             if tracker is None:
                 result = self._localize(frame, observed, prior)
@@ -222,8 +225,9 @@ class SequenceLocalization:
             )
         submap = self.semantic_map.crop(prior.position_m, self.options.crop_radius_m)
         if self.rig is not None:
-            scaled = self.noise.applied if self.options.fit_sigmas else lambda stated: stated
-            return self.rig.localize(frame, observed, submap, prior, self.localizer, scaled)
+            return self.rig.localize(
+                frame, observed, submap, prior, self.localizer, self._with_sigmas
+            )
         return self.localizer.localize(observed, submap, camera, prior)
 
     def _tracker(self) -> SequenceTracker:

@@ -344,12 +344,12 @@ def _moved(source: Source, relative: Mapping[str, str]) -> Source:
 
 def _check_images(workspace: "Workspace") -> None:
     """Raise SemvizError if the source does not open, or the image of a frame is missing."""
-    from semviz_core.base.frame import FileDataset, Side
+    from semviz_core.base.frame import FileDataset
 
     source = workspace.source
     if not isinstance(source, FileDataset):
         return
-    sides: tuple[Side, ...] = ("left",) if source.rig.right is None else ("left", "right")
+    sides = source.rig.sides
     there = {
         frame.index
         for frame in source.frames

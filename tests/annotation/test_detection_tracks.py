@@ -121,7 +121,7 @@ class Detector(NamedTuple):
 
 
 def sides(road: Road) -> tuple[Side, ...]:
-    return ("left",) if road.rig.right is None else ("left", "right")
+    return road.rig.sides
 
 
 def proposal(name: str, index: int, side: Side, pixels: FloatArray) -> list[Proposal]:

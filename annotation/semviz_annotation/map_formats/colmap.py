@@ -110,7 +110,7 @@ def _points(semantic_map: SemanticMap, tally: ConversionTally) -> Iterator[_Poin
 
 def _images(source: Dataset, tally: ConversionTally) -> dict[tuple[int, Side], _Image]:
     """Return all images of frames with a pose, by frame and side."""
-    sides: tuple[Side, ...] = ("left",) if source.rig.right is None else ("left", "right")
+    sides = source.rig.sides
     images: dict[tuple[int, Side], _Image] = {}
     for frame in source.frames:
         if frame.T_map_camera is None:

@@ -5,6 +5,7 @@ top-left pixel. The pose of a frame is that of its left camera.
 """
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -114,6 +115,11 @@ class Rig:
             raise SemvizError(
                 f"left and right are swapped: baseline is {self.baseline_m:.2f} m; swap the cameras"
             )
+
+    @property
+    def sides(self) -> tuple[Literal["left", "right"], ...]:
+        """Which cameras there are."""
+        return ("left",) if self.right is None else ("left", "right")
 
     @property
     def baseline_m(self) -> float:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from semviz_core.base.camera import Camera
-from semviz_core.base.frame import Dataset, Side
+from semviz_core.base.frame import Dataset
 from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
 
@@ -99,7 +99,7 @@ def check_lines(dataset: Dataset) -> LineCheck:
 
 
 def _edges_of_images(dataset: Dataset) -> Iterator[list[BentEdge]]:
-    sides: tuple[Side, ...] = ("left",) if dataset.rig.right is None else ("left", "right")
+    sides = dataset.rig.sides
     count = min(LINE_IMAGES // len(sides), len(dataset.frames))
     rows = np.linspace(0, len(dataset.frames) - 1, count).round().astype(int)
     for row in rows.tolist():
