@@ -14,6 +14,7 @@ from labelling_truth import (
     error_px,
     is_about,
     meant,
+    told,
     truth_of,
     why_wrong,
 )
@@ -24,7 +25,7 @@ from semviz.annotator.server import Annotator
 from semviz_annotation.labels.labels import Labels, Observation
 from semviz_core.base.frame import Side
 
-CLOSE_M, MARGIN_CSS_PX = 35.0, 8.0
+CLOSE_M = 35.0
 DRAWN_OVER_PX = 6.0
 """A drawing this near to a weak proposal surely joins its element."""
 
@@ -45,11 +46,14 @@ class Labeller(Hand):
         frame's key takes them."""
         self.unclear: set[int] = set()
         """Elements whose drawing had to be corrected."""
+        self.seen: set[str] = set()
+        """Ids of the proposals in this frame that were in view."""
 
     def label(self, frame: int) -> None:
         """One frame: proposals first, then what is missing; then on to the next."""
         self.work.thoughts += 1
         self.taken = set()
+        self.seen = set()
         truth = truth_of(self.drive, frame)
         self.settle()
         self.judge(frame, truth)
@@ -93,6 +97,7 @@ class Labeller(Hand):
 
     def draw_missed(self, frame: int, truth: Truth, missed: Sequence[int]) -> None:
         """Judges what is proposed in a frame, and draws what is not."""
+        self.seen = set()
         self.settle()
         self.judge(frame, truth)
         for element in missed:
@@ -117,6 +122,8 @@ class Labeller(Hand):
 
     def go(self, frame: int) -> None:
         """A click on the strip of all frames."""
+        if self.zoomed_for is not None:
+            self.whole()
         self.work.clicks += 1
         self.page.locator(f'#strip [data-frame="{frame}"]').click()
 
@@ -133,10 +140,10 @@ class Labeller(Hand):
     def finish(self, frame: int, truth: Truth) -> None:
         """The frame's key; with what is weak if all of that is right."""
         self.settle()
-        if self.taken:
-            self.judge(frame, truth)
+        self.judge(frame, truth)
         with self.work.on(FRAME, frame):
             self.key("Control+Shift+Enter" if self.taken else "Control+Enter")
+        self.zoomed_for = None  # the page shows the next frame whole
 
     def judge(self, frame: int, truth: Truth) -> None:
         """Turns down what is sure but wrong; it stays selected, and is drawn anew next.
@@ -145,6 +152,7 @@ class Labeller(Hand):
         What is weak but right is left to the frame's key, once the weak that is wrong is turned
         down; or accepted one by one, if that takes fewer keys.
         """
+        self.look(frame)
         for offer in self.offers(frame):
             if offer.is_confident and self.meant(offer, truth) is None:
                 self.turn_down(frame, offer, "sure but wrong: " + why_wrong(offer, truth))
@@ -162,6 +170,26 @@ class Labeller(Hand):
                 with self.work.on("weak but right", frame, told(offer), element, offer.class_id):
                     self.point_at(offer)
                     self.key(" ")
+
+    def look(self, frame: int) -> None:
+        """Looks at all that is proposed; zooms out if something was never in view."""
+        self.glance(frame)
+        if self.zoomed_for is not None and {offer.id for offer in self.offers(frame)} - self.seen:
+            self.whole()
+            self.glance(frame)
+
+    def glance(self, frame: int) -> None:
+        """Sees the proposals that are in view."""
+        self.seen |= {offer.id for offer in self.offers(frame) if self.is_offer_in_view(offer)}
+
+    def is_offer_in_view(self, offer: ProposalView) -> bool:
+        middles = {
+            side: np.mean([one.anchor, one.end or one.anchor], axis=0)
+            for side, one in offer.marks.items()
+        }
+        return self.zoomed_for is None or all(
+            self.is_in_view(side, middles[side][None]) for side in middles
+        )
 
     def turn_down(self, frame: int, offer: ProposalView, cause: str) -> None:
         with self.work.on(cause, frame, told(offer), class_id=offer.class_id):
@@ -213,6 +241,7 @@ class Labeller(Hand):
             raise SystemExit(f"not drawn; the page says {self.page.text_content('#message')!r}")
         self.correct(truth, element, side, new[0])
         self.labelled.add(element)
+        self.glance(frame)
 
     def zoom_for(self, frame: int, truth: Truth, element: int, side: Side) -> None:
         """Zooms in on what is far away, or had to be corrected before: all that follows a drawing
@@ -220,7 +249,7 @@ class Labeller(Hand):
         if element not in self.unclear and truth.depth_m[element] < CLOSE_M:
             return
         ends = [end for end in truth.marks[element][side] if np.isfinite(end).all()]
-        middle = self.middle(truth, element, side)
+        middle = truth.middle(element, side)
         if not self.is_in_view(side, np.array([middle + 3.0 * (end - middle) for end in ends])):
             return  # it is longer than what the zoom shows
         if self.zoomed_for is None:
@@ -234,28 +263,17 @@ class Labeller(Hand):
         last = np.zeros(2)
         while left:
             of_class = [one for one in left if truth.class_id[one] == truth.class_id[left[0]]]
-            places = [self.middle(truth, element, "left") for element in of_class]
+            places = [truth.middle(element, "left") for element in of_class]
             nearest = int(np.argmin([np.linalg.norm(place - last) for place in places]))
             last = places[nearest]
             left.remove(of_class[nearest])
             yield of_class[nearest]
-
-    @staticmethod
-    def middle(truth: Truth, element: int, side: Side) -> np.ndarray:
-        return np.asarray(np.nanmean(truth.marks[element][side], axis=0))
 
     def see(self, truth: Truth, element: int, side: Side) -> None:
         """Zooms out if an element is not in view."""
         ends = [end for end in truth.marks[element][side] if np.isfinite(end).all()]
         if self.zoomed_for is not None and not self.is_in_view(side, np.array(ends)):
             self.whole()
-
-    def is_in_view(self, side: Side, pixels: np.ndarray) -> bool:
-        box = self.page.locator(f"#{side}-image canvas.marks").bounding_box()
-        assert box is not None
-        places = np.array([self.on_screen(side, pixel) for pixel in pixels]) - [box["x"], box["y"]]
-        most = np.array([box["width"], box["height"]]) - MARGIN_CSS_PX
-        return bool((places > MARGIN_CSS_PX).all() and (places < most).all())
 
     def set_points(self, frame: int, truth: Truth, element: int, side: Side) -> None:
         """Class, peak and bottom; or class and middle."""
@@ -377,6 +395,8 @@ class Labeller(Hand):
         side = "left" if "left" in offer.marks else "right"
         mark = offer.marks[side]
         ends = np.array([point for point in (mark.anchor, mark.end) if point is not None])
+        if not self.is_offer_in_view(offer):
+            self.whole()
         self.page.mouse.move(*self.on_screen(side, ends.mean(axis=0)))
         if self.page.evaluate("semviz.state.currentProposal?.id") != offer.id:
             shown = "({ elements, expected, nearby }) => [...elements, ...expected, ...nearby]"
@@ -428,17 +448,3 @@ class Labeller(Hand):
                 for row in self.labels.in_frame(frame, side)
             )
         ]
-
-
-def told(offer: ProposalView) -> str:
-    marks = ", ".join(
-        f"{side} {np.round(offer.marks[side].anchor).tolist()} {offer.marks[side].anchor_known:d}"
-        + (
-            f" to {np.round(offer.marks[side].end).tolist()} {offer.marks[side].end_known:d}"
-            if offer.marks[side].end
-            else ""
-        )
-        for side in SIDES
-        if side in offer.marks
-    )
-    return f"{offer.origin}, class {offer.class_id}, score {offer.score or 0.0:.2f}: {marks}"

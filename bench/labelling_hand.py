@@ -11,6 +11,7 @@ from playwright.sync_api import Page
 from semviz_core.base.frame import Side
 
 TREMOR_CSS_PX = 1.5
+MARGIN_CSS_PX = 8.0
 KEY_S, CLICK_S, POINT_S, THINK_S = 0.28, 0.2, 1.1, 1.35
 FRAME, FIRST, STRIP = "a frame's key", "drawn first", "a filmstrip's key"
 STEPS = (FRAME, FIRST, STRIP)
@@ -145,6 +146,13 @@ class Hand:
     def zoom(self) -> str | None:
         return self.page.get_attribute("#left-image canvas.marks", "data-view")
 
+    def is_in_view(self, side: Side, pixels: np.ndarray) -> bool:
+        box = self.page.locator(f"#{side}-image canvas.marks").bounding_box()
+        assert box is not None
+        places = np.array([self.on_screen(side, pixel) for pixel in pixels]) - [box["x"], box["y"]]
+        most = np.array([box["width"], box["height"]]) - MARGIN_CSS_PX
+        return bool((places > MARGIN_CSS_PX).all() and (places < most).all())
+
     def drag(self, side: Side, start: np.ndarray, end: np.ndarray) -> None:
         self.work.clicks += 2
         self.page.mouse.move(*self.on_screen(side, start))
@@ -174,9 +182,7 @@ class Hand:
         self.page.wait_for_function("() => semviz.state.pending.length === 0")
 
     def settle(self) -> None:
-        """Zooms out, and waits until the images were asked about all that is proposed."""
-        if self.zoomed_for is not None:
-            self.whole()
+        """Waits until the images were asked about all that is proposed."""
         self.saved()
         self.page.wait_for_function(
             """() => {

@@ -58,6 +58,9 @@ class Truth:
         gaps = np.linalg.norm(ends - self.marks[element][side], axis=1)
         return bool((gaps[both_known] <= self.within_px(element, ALONG_PX, ALONG_M)).all())
 
+    def middle(self, element: int, side: Side) -> np.ndarray:
+        return np.asarray(np.nanmean(self.marks[element][side], axis=0))
+
     def named(self, element: int) -> str:
         name = DEFAULT_CLASSES[self.class_id[element]].name
         return f"{name} {element} at {self.depth_m[element]:.0f} m"
@@ -176,3 +179,17 @@ def why_wrong(offer: ProposalView, truth: Truth) -> str:
             return "another element than it was"
         return "an end is off along it"
     return "off in one image" if any(any(each) for each in right.values()) else "off"
+
+
+def told(offer: ProposalView) -> str:
+    marks = ", ".join(
+        f"{side} {np.round(offer.marks[side].anchor).tolist()} {offer.marks[side].anchor_known:d}"
+        + (
+            f" to {np.round(offer.marks[side].end).tolist()} {offer.marks[side].end_known:d}"
+            if offer.marks[side].end
+            else ""
+        )
+        for side in SIDES
+        if side in offer.marks
+    )
+    return f"{offer.origin}, class {offer.class_id}, score {offer.score or 0.0:.2f}: {marks}"

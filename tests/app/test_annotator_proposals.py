@@ -126,6 +126,33 @@ def test_one_key_takes_the_sure_ones_and_goes_on(
     assert served.labels.review(0) == "reviewed"
 
 
+def test_what_was_never_in_view_is_looked_at_before_it_is_accepted(
+    page: "Page", workspace: Workspace
+) -> None:
+    """The key then shows the whole image instead; what was in view before zooming in is taken."""
+    save_proposals(true_detections(workspace.street, 0, SIDES), workspace.proposals_path)
+    with annotating(workspace) as served:
+        driver = LabelDriver(page)
+        driver.open(served.url)
+        page.wait_for_function("() => semviz.state.confidentProposals.length > 1")
+        wait_for_search(driver)
+        zoom_in = "semviz.images.zoomTo([[2, 2], [6, 6]])"
+        never = "semviz.images.seen.marks.clear()"  # as if the frame was opened zoomed in
+        page.evaluate(f"() => {{ {never}; {zoom_in}; }}")
+        page.keyboard.press("Control+Enter")
+        page.wait_for_selector("#message:has-text('out of view: look at')")
+        assert not served.labels.observations
+        driver.settle()
+        whole = driver.view("left").scale
+        page.evaluate(f"() => {zoom_in}")
+        driver.press_and_save("Control+Enter")  # all was in view
+        page.wait_for_function("() => semviz.state.frame === 1")
+        assert len(served.labels.observations) > 1
+        driver.settle()
+        assert driver.view("left").scale == pytest.approx(whole)
+        page.goto("about:blank")
+
+
 def test_only_the_key_for_all_takes_weak_ones_and_goes_on(
     driver: LabelDriver, served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:

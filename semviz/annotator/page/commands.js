@@ -80,7 +80,7 @@ export function commands(state, images, tools, actions) {
     { key: "Delete", group: "Draw", title: "Delete what is selected in this image", run: edit.remove },
     { key: "Delete", shift: true, group: "Draw", title: "Delete the element in all frames", run: edit.removeAll },
 
-    ...proposalCommands(state, actions, () => actions.filmstrip.goOn()),
+    ...proposalCommands(state, images, actions, () => actions.filmstrip.goOn()),
 
     { key: "Wheel", group: "View", title: "Zoom both images at the pointer" },
     { key: "Right drag", group: "View", title: "Pan; also middle button, or Alt" },

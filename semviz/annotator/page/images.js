@@ -1,9 +1,10 @@
 // @ts-check
 // The two image canvases: shared zoom and pan, hit tests, painting.
 /** @import {State} from "./state.js" */
-/** @import {Point, Side} from "./values.js" */
+/** @import {Point, Proposal, Side} from "./values.js" */
 import { Surface, View } from "/static/canvas.js";
 import { find } from "/static/dom.js";
+import { marksOf } from "./proposals.js";
 import { SIDES } from "./values.js";
 import * as paint from "./paint.js";
 
@@ -35,6 +36,8 @@ export class Images {
     this.pointer = null; // while it is over an image
     /** @type {Hit | null} */
     this.hovered = null; // what a press would drag
+    /** @type {{frame: number | null, marks: Set<string>}} */
+    this.seen = { frame: null, marks: new Set() }; // marks of proposals that were in view in this frame
     const background = (/** @type {Side} */ side) => {
       const canvas = find(panels[side], "canvas.picture", HTMLCanvasElement);
       return new Surface(canvas, (context) => this.#paintPicture(side, context));
@@ -162,7 +165,7 @@ export class Images {
 
   /** Keeps the middle of the stage inside the image; the smallest zoom shows the whole image. */
   #keepInside() {
-    if (this.view.scale <= this.#whole() * 1.0001) this.#fitView();
+    if (this.#isWhole()) this.#fitView();
     const size = this.#size().map((extent) => extent * this.view.scale);
     const clamp = (/** @type {number} */ offset, /** @type {0 | 1} */ axis) =>
       Math.min(this.stage[axis] / 2, Math.max(this.stage[axis] / 2 - size[axis], offset));
@@ -173,7 +176,7 @@ export class Images {
 
   /** Keeps the middle of the view; a whole image stays whole. */
   #resized() {
-    const wasWhole = this.view.scale <= this.#whole() * 1.0001;
+    const wasWhole = this.#isWhole();
     const middle = this.view.toImage(this.#middle());
     this.stage = this.#stage();
     if (wasWhole) this.fit();
@@ -196,9 +199,38 @@ export class Images {
     return [size.width, size.height];
   }
 
+  #isWhole() {
+    return this.view.scale <= this.#whole() * 1.0001;
+  }
+
   #whole() {
     const [width, height] = this.#size();
     return Math.min(this.stage[0] / width, this.stage[1] / height);
+  }
+
+  /** Those proposals of which a mark was out of view ever since the frame was opened.
+   *
+   * @param {Proposal[]} proposals
+   */
+  unseen(proposals) {
+    if (this.#isWhole()) return [];
+    SIDES.forEach((side) => this.#look(side));
+    return proposals.filter((proposal) => marksOf(proposal).some(([, { id }]) => !this.seen.marks.has(id)));
+  }
+
+  /** Notes what is in view, by the middle of each mark.
+   *
+   * @param {Side} side
+   */
+  #look(side) {
+    if (this.seen.frame !== this.state.frame) this.seen = { frame: this.state.frame, marks: new Set() };
+    for (const { marks } of this.state.proposals) {
+      const mark = marks[side];
+      if (!mark) continue;
+      const middle = [0, 1].map((axis) => (mark.anchor[axis] + (mark.end ?? mark.anchor)[axis]) / 2);
+      const place = this.view.toScreen([middle[0], middle[1]]);
+      if (place.every((at, axis) => at >= 0 && at <= this.stage[axis])) this.seen.marks.add(mark.id);
+    }
   }
 
   // -- hit tests
@@ -263,6 +295,7 @@ export class Images {
     style.opacity = String(bitmap ? 1 : LOADING_OPACITY);
     if (!bitmap || !this.state.isReady) return;
     this.#paintElements(side, context);
+    this.#look(side);
     if (this.state.cursor?.side === side) paint.cursor(context, this.view.toScreen(this.state.cursor.pixel));
     if (this.state.aids.loupe && this.pointer?.side === side) this.#paintLoupe(side, context, bitmap, this.pointer.point);
   }

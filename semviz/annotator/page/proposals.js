@@ -2,6 +2,7 @@
 // The proposal keys: accept, reject, swap with the runner-up, step through.
 /** @import {annotator} from "/static/protocol" */
 /** @import {Command} from "/static/keys.js" */
+/** @import {Images} from "./images.js" */
 /** @import {Page} from "./main.js" */
 /** @import {State} from "./state.js" */
 /** @import {Proposal, Side} from "./values.js" */
@@ -12,29 +13,42 @@ const ASKED_MS = 6000; // as long as the message is shown
 /** Commands for `Keys`; `nextFrame()` goes to the next frame.
  *
  * @param {State} state
+ * @param {Pick<Images, "fit" | "unseen">} images
  * @param {Pick<Page, "submit" | "select" | "notify" | "markReviewed">} actions
  * @param {() => void} nextFrame
  * @returns {Command[]}
  */
-export function proposalCommands(state, actions, nextFrame) {
+export function proposalCommands(state, images, actions, nextFrame) {
   const proposal = proposing(state, actions);
   const group = "Proposals";
-  const goOn = (/** @type {() => void} */ accept, /** @type {KeyboardEvent | undefined} */ event) => {
+  /** Accepts what was in view; returns whether that was all. */
+  const acceptSeen = (/** @type {Proposal[]} */ proposals) => {
+    const { length } = images.unseen(proposals);
+    if (!length) {
+      proposal.acceptAll(proposals);
+      return true;
+    }
+    images.fit();
+    actions.notify(length === 1 ? "A proposal was out of view: look at it, then press again." : `${length} proposals were out of view: look at them, then press again.`);
+    return false;
+  };
+  const goOn = (/** @type {Proposal[]} */ proposals, /** @type {KeyboardEvent | undefined} */ event) => {
     const reason = event?.repeat ? "" : whyIncomplete(state);
     if (event?.repeat || reason) { // a key that is held down looks at nothing
       actions.notify(reason);
       return;
     }
-    accept();
+    if (!acceptSeen(proposals)) return;
     actions.markReviewed();
+    images.fit(); // what is proposed next may be anywhere
     nextFrame();
   };
   return [
     { key: " ", group, title: "Accept the current proposal", run: proposal.accept },
-    { key: " ", shift: true, group, title: "Accept all confident proposals", row: "Accept confident; all", run: proposal.acceptSure },
-    { key: "Enter", ctrl: true, group, title: "The same, mark as reviewed, next frame or back to the filmstrip", row: "Confident, reviewed; next or back to strip", run: (event) => goOn(proposal.acceptSure, event) },
-    { key: "Enter", ctrl: true, shift: true, group, title: "Accept every proposal, mark as reviewed, next frame", row: "All, reviewed; next or back to strip", words: "all looked", run: (event) => goOn(proposal.acceptFound, event) },
-    { key: "g", shift: true, group, title: "Accept every proposal, weak ones too", row: "Accept confident; all", words: "all looked", run: proposal.acceptFound },
+    { key: " ", shift: true, group, title: "Accept all confident proposals", row: "Accept confident; all", run: () => acceptSeen(state.confidentProposals) },
+    { key: "Enter", ctrl: true, group, title: "The same, mark as reviewed, next frame or back to the filmstrip", row: "Confident, reviewed; next or back to strip", run: (event) => goOn(state.confidentProposals, event) },
+    { key: "Enter", ctrl: true, shift: true, group, title: "Accept every proposal, mark as reviewed, next frame", row: "All, reviewed; next or back to strip", words: "all looked", run: (event) => goOn(state.foundProposals, event) },
+    { key: "g", shift: true, group, title: "Accept every proposal, weak ones too", row: "Accept confident; all", words: "all looked", run: () => acceptSeen(state.foundProposals) },
     { key: "x", group, title: "Reject: not here", run: () => proposal.dismiss("rejected") },
     { key: "n", group, title: "Reject: no longer there", run: () => proposal.dismiss("absent") },
     { key: "k", group, title: "Take the second-best candidate", run: proposal.swap },
@@ -62,21 +76,16 @@ export function whyIncomplete({ connected, shownFrame, frame, pending, question,
  * @param {Pick<Page, "submit" | "select" | "notify">} actions
  */
 export function proposing(state, actions) {
-  const accepted = (/** @type {Proposal[]} */ proposals) => {
+  const acceptAll = (/** @type {Proposal[]} */ proposals) => {
     const tracks = proposals.filter(({ track }) => track).map(({ id }) => id);
     if (tracks.length) actions.submit(acceptedTracks(state, tracks));
     const marks = proposals.filter(({ track }) => !track).flatMap((proposal) => marksOf(proposal).map(([side, mark]) => ({ ...drawnMark(state.frame ?? 0, proposal, side, mark), second: state.second })));
     if (marks.length) actions.submit({ kind: "accept", marks });
   };
   return {
+    acceptAll,
     accept() {
-      accepted(state.currentProposals);
-    },
-    acceptSure() {
-      accepted(state.confidentProposals);
-    },
-    acceptFound() {
-      accepted(state.foundProposals);
+      acceptAll(state.currentProposals);
     },
     /** Accepts all sure tracks of the drive, once the user has been told how many. */
     acceptSureTracks() {
