@@ -23,8 +23,9 @@ from playwright.sync_api import Page, sync_playwright
 from semviz.annotator.blind_annotator import TeamAnnotator
 from semviz.annotator.server import Annotator
 from semviz.commands.detect import REPORT, DetectEvaluateCommand
+from semviz.commands.localize import LocalizeCommand
 from semviz.commands.maps import MapLocalizabilityCommand
-from semviz.commands.runs import LocalizeCommand, ReportCommand
+from semviz.commands.runs import ReportCommand
 from semviz.inspector.server import Inspector
 from semviz.runs.reader import load_run
 from semviz.web.gateway import Gateway

@@ -16,6 +16,7 @@ from semviz.commands import batch, classes, collection, labels, map_changes, map
 from semviz.commands.backdrop import MapBackdropCommand
 from semviz.commands.detect import DetectCommand, DetectEvaluateCommand, DetectTrainCommand
 from semviz.commands.detector_rates import DetectRatesCommand
+from semviz.commands.localize import LocalizeCommand
 from semviz.commands.map_merge import MapMergeCommand
 from semviz.commands.new import NewCommand, RelinkCommand
 from semviz.commands.poses import PosesCheckCommand, PosesChooseCommand, PosesRefineCommand
@@ -109,7 +110,7 @@ Command = (
     | MapCommands
     | CollectionCommands
     | BatchCommands
-    | Annotated[runs.LocalizeCommand, subcommand("localize")]
+    | Annotated[LocalizeCommand, subcommand("localize")]
     | Annotated[RecordCommand, subcommand("record")]
     | Annotated[runs.EvaluateCommand, subcommand("evaluate")]
     | Annotated[runs.CompareCommand, subcommand("compare")]

@@ -15,8 +15,8 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from semviz.commands import parsing
 from semviz.commands.detect import DetectCommand
+from semviz.commands.localize import LocalizeCommand
 from semviz.commands.maps import MapBuildCommand
-from semviz.commands.runs import LocalizeCommand
 from semviz_core.common.errors import SemvizError, require_extra
 
 if TYPE_CHECKING:

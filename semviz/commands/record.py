@@ -8,8 +8,8 @@ from typing import Literal
 from tyro.conf import Positional
 
 from semviz.commands import parsing
+from semviz.commands.localize import print_run
 from semviz.commands.parsing import MeasurementOptions
-from semviz.commands.runs import print_run
 from semviz_core.common.errors import SemvizError
 
 
