@@ -258,8 +258,8 @@ def with_true_associations(
     own = true_row.max() + 1 + np.arange(len(true_row))
     _, known = np.unique(np.where(true_row >= 0, true_row, own), return_inverse=True)
     information = stack.information(merging.scatter_m)
-    design = knots.design(stack.ends_m, stack.drive)
-    return align(stack.ends_m, information, design, knots.information(stated, ()), known), known
+    model = knots.model(stack.ends_m, stack.drive, stated)
+    return align(stack.ends_m, information, model, known), known
 
 
 def off_m(

@@ -1,8 +1,12 @@
 """Corrections of drives by the landmarks that they share: one sparse least-squares problem.
 
 Each element measures its landmark: landmark = element + design @ corrections + noise, with the
-element's own covariance. Landmarks are eliminated (Schur complement), so the unknowns are the
-corrections alone. Elements that fit badly count less (Cauchy's weights).
+element's own covariance. Landmarks are eliminated, so the unknowns are the corrections alone.
+Elements that fit badly count less (Cauchy's weights).
+
+The equations are never written down: m drives that pass a landmark would each meet the m - 1
+others. Conjugate gradients multiply by them in a time that grows with the elements alone, and need
+as many steps however many drives pass (``_System.preconditioner``).
 """
 
 from dataclasses import dataclass
@@ -10,10 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from semviz_annotation.mapping.drives.corrections import PoseModel
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
+    from scipy.sparse.linalg import LinearOperator
 
 _ALONG_M = 5.0
 """Sigma along a pole of an end that no view shows: what was seen of it is no end."""
@@ -26,7 +32,9 @@ _STEPS = 4
 _SYMMETRIC: dict[str, Any] = {
     "permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True},
 }  # fmt: skip
-"""Without it the factors of 200 drives have a hundred times as many entries."""
+"""Without it, factors have many times as many entries."""
+_TOLERANCE = 1e-6
+"""Of the residual, as a share of the right side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,52 +97,98 @@ def information_of(
 
 
 def align(
-    ends_m: FloatArray,
-    information: FloatArray,
-    design: "csr_array",
-    prior: "csr_array",
-    landmark: IntArray,
+    ends_m: FloatArray, information: FloatArray, model: PoseModel, landmark: IntArray
 ) -> Alignment:
     """Return the corrections that bring the elements (n, 6) of each landmark (n,) together.
 
-    ``design`` (6n, 4k) and ``prior`` (4k, 4k) are those of ``Knots``. Landmarks count from 0.
+    ``information`` is (n, 6, 6). Landmarks count from 0.
     """
-    weight = np.ones(len(ends_m))
+    start_m, sums = np.nan_to_num(ends_m), _sums_of(landmark)
+    middle_m = (sums @ start_m) / sums.sum(axis=1)[:, None]
+    offset_m = start_m - middle_m[landmark]
+    weight, precondition, c = np.ones(len(ends_m)), None, None
     for _ in range(_STEPS):
-        weighted = information * weight[:, None, None]
-        result = _solved(ends_m, weighted, design, prior, landmark)
+        system = _System.of(information * weight[:, None, None], model, landmark, sums)
+        precondition = precondition or system.preconditioner()  # near enough for other weights
+        c = system.solved(offset_m, precondition, c)
+        moved_m = (model.design @ c).reshape(-1, 6)
+        landmark_m = middle_m + system.mean(offset_m + moved_m)
+        result = Alignment(c.reshape(-1, 4), start_m + moved_m, landmark_m, system.covariance_m2)
         weight = 1.0 / (1.0 + result.chi2(information, landmark) / _CAUCHY**2)
     return result
 
 
-def _solved(
-    ends_m: FloatArray,
-    information: FloatArray,
-    design: "csr_array",
-    prior: "csr_array",
-    landmark: IntArray,
-) -> Alignment:
-    """Solve for the corrections c: with elements x, information W and design A, landmarks are
-    y = (sum W)^-1 sum W (x + A c), and their elimination leaves a system in c alone."""
-    from scipy.sparse import csr_array, eye_array, kron
-    from scipy.sparse.linalg import splu
+@dataclass(frozen=True, eq=False)
+class _System:
+    """The normal equations of the corrections c: elements x with information W move by A c and
+    measure their landmarks y = (sum W)^-1 sum W (x + A c), which are eliminated."""
 
-    sums, start_m = _sums_of(landmark), np.nan_to_num(ends_m)
-    total = (sums @ information.reshape(-1, 36)).reshape(-1, 6, 6)
-    covariance_m2 = np.linalg.inv(total + np.eye(6) * (total == 0.0))
-    middle_m = (sums @ start_m) / sums.sum(axis=1)[:, None]
-    pull = _times(information, start_m - middle_m[landmark])
-    pulled_m = _times(covariance_m2, sums @ pull)
+    information: FloatArray
+    """(n, 6, 6)"""
+    covariance_m2: FloatArray
+    """(l, 6, 6)"""
+    model: PoseModel
+    landmark: IntArray
+    sums: "csr_array"
+    """(l, n) adds up the elements of each landmark."""
 
-    weighted = _blocks(information) @ design
-    by_landmark = csr_array(kron(sums, eye_array(6))) @ weighted
-    shared = _blocks(covariance_m2) @ by_landmark
-    normal = prior + design.T @ weighted - by_landmark.T @ shared
-    right = design.T @ pull.ravel() - by_landmark.T @ pulled_m.ravel()
-    c = -splu(normal.tocsc(), **_SYMMETRIC).solve(right)
-    corrected_m = start_m + (design @ c).reshape(-1, 6)
-    landmark_m = middle_m + pulled_m + (shared @ c).reshape(-1, 6)
-    return Alignment(c.reshape(-1, 4), corrected_m, landmark_m, covariance_m2)
+    @classmethod
+    def of(
+        cls, information: FloatArray, model: PoseModel, landmark: IntArray, sums: "csr_array"
+    ) -> "_System":
+        total = (sums @ information.reshape(-1, 36)).reshape(-1, 6, 6)
+        covariance_m2 = np.linalg.inv(total + np.eye(6) * (total == 0.0))
+        return cls(information, covariance_m2, model, landmark, sums)
+
+    def mean(self, offset_m: FloatArray) -> FloatArray:
+        """Return the landmarks (l, 6) of elements (n, 6)."""
+        return _times(self.covariance_m2, self.sums @ _times(self.information, offset_m))
+
+    def pull(self, offset_m: FloatArray) -> FloatArray:
+        """Return the gradient (4k,) where elements are off by (n, 6)."""
+        off_m = offset_m - self.mean(offset_m)[self.landmark]
+        return np.asarray(self.model.design.T @ _times(self.information, off_m).ravel())
+
+    def solved(
+        self, offset_m: FloatArray, precondition: "LinearOperator", start: FloatArray | None
+    ) -> FloatArray:
+        """Return the corrections (4k,), searched from ``start``."""
+        from scipy.sparse.linalg import LinearOperator, cg
+
+        def product(c: FloatArray) -> FloatArray:
+            by_elements = self.pull((self.model.design @ c).reshape(-1, 6))
+            return np.asarray(self.model.prior @ c + by_elements)
+
+        matrix = LinearOperator(precondition.shape, matvec=product, dtype=np.float64)
+        right = -self.pull(offset_m)
+        return np.asarray(cg(matrix, right, start, rtol=_TOLERANCE, M=precondition)[0])
+
+    def preconditioner(self) -> "LinearOperator":
+        """Return the sum of two approximate inverses: each drive corrected while the others
+        stay, and all that pass a place corrected alike.
+
+        The second one keeps the number of steps small: landmarks tell nothing of an error that all
+        drives share, but to each drive alone it looks well known.
+        """
+        from scipy.sparse import csr_array, eye_array, kron
+        from scipy.sparse.linalg import LinearOperator, splu
+
+        design, prior, together = self.model.design, self.model.prior, self.model.together
+        others = self.information @ self.covariance_m2[self.landmark] @ self.information
+        own = prior + design.T @ (_blocks(self.information - others) @ design)
+
+        moved = design @ together
+        pulled = _blocks(self.information) @ moved
+        by_landmark = csr_array(kron(self.sums, eye_array(6))) @ pulled
+        alike = together.T @ prior @ together + moved.T @ pulled
+        alike -= by_landmark.T @ (_blocks(self.covariance_m2) @ by_landmark)
+
+        drives, places = (splu(each.tocsc(), **_SYMMETRIC) for each in (own, alike))
+
+        def product(pull: FloatArray) -> FloatArray:
+            return np.asarray(drives.solve(pull) + together @ places.solve(together.T @ pull))
+
+        return LinearOperator(prior.shape, matvec=product, dtype=np.float64)
 
 
 def _times(blocks: FloatArray, vectors: FloatArray) -> FloatArray:

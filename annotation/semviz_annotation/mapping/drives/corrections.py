@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from semviz_core.base.semantic_map import SemanticMap, footprint_m
-from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
@@ -28,6 +28,8 @@ _WEIGHT_M = 6.0
 _DRIVES_APART_M = 1e7
 _FIXED_SIGMA = 1e-4
 """Of poses that are to stay, as a share of that of others."""
+_SQUARE_M = 20.0
+"""Edge of the squares of the ground where all drives are corrected alike (``PoseModel``)."""
 FREEDOM = 4
 """Numbers of a correction: x, y, z (m), turn (rad)."""
 
@@ -46,6 +48,18 @@ class PoseErrors:
             raise SemvizError(
                 "the errors of poses must be above 0 and finite; leave them out to use 0.5 m"
             )
+
+
+@dataclass(frozen=True, eq=False)
+class PoseModel:
+    """What corrections do to n elements, and how likely they are, at k knots."""
+
+    design: "csr_array"
+    """(6n, 4k) how they move both ends of each element"""
+    prior: "csr_array"
+    """(4k, 4k) their information before any element is compared"""
+    together: "csr_array"
+    """(4k, 4c) corrections of all drives alike, at c places: a start for the solver"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,11 +98,29 @@ class Knots:
     def __len__(self) -> int:
         return len(self.drive)
 
-    def information(self, errors: PoseErrors, fixed: Sequence[int]) -> "csr_array":
-        """Return the information (4k, 4k) of the corrections before any element is compared.
+    def model(
+        self, ends_m: FloatArray, drive: IntArray, errors: PoseErrors, fixed: Sequence[int] = ()
+    ) -> PoseModel:
+        """Return the model of elements ``ends_m`` (n, 6) of the drives (n,), whose poses have such
+        errors; the drives ``fixed`` stay where they are."""
+        stays = np.isin(self.drive, np.asarray(fixed, np.int64))
+        return PoseModel(
+            self.design(ends_m, drive), self._information(errors, stays), self._together(stays)
+        )
 
-        The drives ``fixed`` stay where they are.
-        """
+    def _together(self, stays: BoolArray) -> "csr_array":
+        """Return the corrections (4k, 4c) of all drives alike that pass a place, those that stay
+        apart."""
+        from scipy.sparse import csr_array, eye_array, kron
+
+        square = np.floor(self.position_m[:, :2] / _SQUARE_M)
+        _, place = np.unique(np.column_stack([square, stays]), axis=0, return_inverse=True)
+        shape = (len(self), int(place.max()) + 1)
+        one = csr_array((np.ones(len(self)), (np.arange(len(self)), place.ravel())), shape)
+        return csr_array(kron(one, eye_array(FREEDOM)))
+
+    def _information(self, errors: PoseErrors, stays: BoolArray) -> "csr_array":
+        """Return the information (4k, 4k) of the corrections before any element is compared."""
         from scipy.sparse import csr_array, diags_array, eye_array, kron
 
         inner = np.flatnonzero(self.parent >= 0)
@@ -97,7 +129,7 @@ class Knots:
         kept = np.exp(-step_m / CORRELATION_M)
         variance = np.ones(len(self))
         variance[inner] = 1.0 - kept**2
-        variance[np.isin(self.drive, np.asarray(fixed, np.int64))] *= _FIXED_SIGMA**2
+        variance[stays] *= _FIXED_SIGMA**2
         shape = (len(self), len(self))
         change = eye_array(len(self)) - csr_array((kept, (inner, parent)), shape)
         along = change.T @ diags_array(1.0 / variance) @ change
@@ -121,7 +153,9 @@ class Knots:
         column = FREEDOM * knot[:, :, None, None] + np.arange(FREEDOM)
         row, column = np.broadcast_to(row, values.shape), np.broadcast_to(column, values.shape)
         shape = (6 * len(ends_m), FREEDOM * len(self))
-        return csr_array((values.ravel(), (row.ravel(), column.ravel())), shape)
+        design = csr_array((values.ravel(), (row.ravel(), column.ravel())), shape)
+        design.eliminate_zeros()
+        return design
 
     def nearest(self, points_m: FloatArray, drive: IntArray) -> IntArray:
         """Return the knot (n,) of its drive (n,) that is nearest to each point (n, 3)."""

@@ -53,6 +53,8 @@ class Stack:
     """(n,) class"""
     drive: IntArray
     """(n,) number of the map"""
+    rank: IntArray
+    """(n,) of the map in an order that follows from the maps alone, not from that of ``drive``"""
     id: IntArray
     """(n,) in its own map"""
     on_ground_m2: FloatArray
@@ -61,6 +63,8 @@ class Stack:
     @classmethod
     def of(cls, maps: Sequence[SemanticMap]) -> "Stack":
         parts = [one.elements for one in maps]
+        counts = [len(part) for part in parts]
+        rank = np.argsort(np.argsort([one.digest for one in maps], kind="stable"))
         footprints = np.concatenate([footprint_covariance_m2(part) for part in parts])
         heights_m2 = np.concatenate([part.covariance_m2[:, 2, 2] for part in parts])
         footprints[:, 2, 2] = heights_m2
@@ -71,7 +75,8 @@ class Stack:
             np.concatenate([np.stack([part.anchor_known, part.end_known], 1) for part in parts]),
             np.concatenate([part.is_line for part in parts]),
             np.concatenate([part.class_id for part in parts]),
-            np.repeat(np.arange(len(maps)), [len(part) for part in parts]),
+            np.repeat(np.arange(len(maps)), counts),
+            np.repeat(rank, counts),
             np.concatenate([part.id for part in parts]),
             footprints,
         )
@@ -94,7 +99,8 @@ class Stack:
         anchor, end = ends_m[:, :3], ends_m[:, 3:]
         middle = np.where(self.is_line[:, None], (anchor + end) / 2.0, anchor)
         middle[:, 2] = anchor[:, 2]
-        return Places(middle, self.on_ground_m2, self.is_line, self.kind, self.drive)
+        _, order = np.unique(self.rank, return_inverse=True)
+        return Places(middle, self.on_ground_m2, self.is_line, self.kind, order)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,22 +127,20 @@ def merge_stack(
 ) -> Merging:
     """Return which elements, all of one frame, are one landmark, and where it is. ``on_round`` is
     called after each of ``ROUNDS``."""
-    design = knots.design(stack.ends_m, stack.drive)
-    prior = knots.information(options.errors, options.fixed)
-
+    model = knots.model(stack.ends_m, stack.drive, options.errors, options.fixed)
     ends_m = np.nan_to_num(stack.ends_m)
     scatter_m = np.full(len(stack.drive), FIRST_SCATTER * options.errors.sigma_m)
     for left in ROUNDS:
         pairs = vote(stack.places(ends_m), left * options.errors.sigma_m)
         landmark = landmarks_of(pairs, stack.drive)
         information = stack.information(scatter_m)
-        alignment = align(stack.ends_m, information, design, prior, landmark)
+        alignment = align(stack.ends_m, information, model, landmark)
         ends_m = alignment.ends_m
         scatter_m[:] = alignment.scatter_m(landmark, stack.variances_m2)
         on_round()
     information = stack.information(scatter_m)
     landmark = _without_misfits(landmark, alignment.chi2(information, landmark), stack.is_line)
-    alignment = align(stack.ends_m, information, design, prior, landmark)
+    alignment = align(stack.ends_m, information, model, landmark)
     return Merging(stack, knots, landmark, alignment, scatter_m)
 
 
@@ -156,10 +160,10 @@ def landmarks_of(pairs: Pairs, drive: IntArray) -> IntArray:
     for first, second in zip(
         pairs.first[order].tolist(), pairs.second[order].tolist(), strict=True
     ):
-        low, high = sorted((root(first), root(second)))
-        if low != high and drives[low].isdisjoint(drives[high]):
-            group[high] = low
-            drives[low] |= drives[high]
+        few, many = sorted((root(first), root(second)), key=lambda one: len(drives[one]))
+        if few != many and drives[few].isdisjoint(drives[many]):
+            group[few] = many
+            drives[many] |= drives[few]
     return numbered(np.array([root(element) for element in range(len(group))], np.int64))
 
 

@@ -4,9 +4,11 @@ Poses that are off by half a metre bring an element next to its neighbour in ano
 elements of one stretch are off together: a pair is believed if the pairs around it, of the same two
 drives, are shifted as it is. A pair whose rival is supported nearly as well waits for the next
 round, in which corrected drives lie closer.
+
+At each place a drive is compared with a few others, not with all: a landmark needs a chain of pairs
+through its drives, not a pair of each two.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -18,6 +20,10 @@ from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 
 STRETCH_M = 40.0
 """Pairs this close are shifted alike."""
+PARTNERS = 4
+"""With so many drives before it and so many after it a drive is compared at each place."""
+_SQUARE_M = 40.0
+"""Edge of a place."""
 _GATE_SIGMAS = 3.5
 _LEAST_SHARE = 0.3
 """Share of the elements around that must be shifted alike."""
@@ -56,7 +62,7 @@ class Pairs(NamedTuple):
     score: FloatArray
     """(p,) elements that are shifted alike, less those of the best rival."""
 
-    def where(self, rows: BoolArray | IntArray) -> "Pairs":
+    def where(self, rows: BoolArray | IntArray | slice) -> "Pairs":
         return Pairs(self.first[rows], self.second[rows], self.score[rows])
 
 
@@ -65,26 +71,36 @@ def vote(places: Places, sigma_m: float) -> Pairs:
 
     Drives are off by ``sigma_m`` in each direction, as ``corrections`` says.
     """
-    pairs = _near(places, sigma_m)
-    parts = [_believed(places, pairs.where(rows), sigma_m) for rows in _by_drives(places, pairs)]
-    if not parts:
-        return pairs
-    return Pairs(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    pairs, of = _near(places, compared(places), sigma_m)
+    starts = [*np.flatnonzero(np.diff(of, prepend=-1)).tolist(), len(of)]
+    parts = [_support(places, pairs.where(slice(*rows)), sigma_m) for rows in pairwise(starts)]
+    support, around = np.concatenate([np.zeros((2, 0)), *parts], axis=1)
+    apart = of * len(places.drive)
+    rivals = [_best_rival(apart + each, support) for each in (pairs.first, pairs.second)]
+    score = support - np.maximum(*rivals)
+    is_clear = (support >= _LEAST_SHARE * around) & (score >= _MARGIN)
+    return Pairs(pairs.first, pairs.second, score).where(is_clear)
 
 
-def _near(places: Places, sigma_m: float) -> Pairs:
-    """Return pairs of one class and different drives within reach."""
-    from scipy.spatial import cKDTree
+def compared(places: Places) -> IntArray:
+    """Return each two drives (d, 2) that are compared, the lower first: of those with elements in
+    one place, ordered in a circle, each and the next ``PARTNERS``."""
+    square = np.floor(places.position_m[:, :2] / _SQUARE_M).astype(np.int64)
+    passes = np.unique(np.column_stack([square, places.drive]), axis=0)
+    _, start, number, count = np.unique(
+        passes[:, :2], axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    start, count, drive = start[number.ravel()], count[number.ravel()], passes[:, 2]
+    step = np.arange(1, PARTNERS + 1)[:, None]
+    other = drive[start + (np.arange(len(passes)) - start + step) % count]
+    both = np.sort([np.broadcast_to(drive, other.shape).ravel(), other.ravel()], axis=0).T
+    return np.unique(both[both[:, 0] < both[:, 1]], axis=0)
 
-    points = np.column_stack([places.position_m[:, :2], places.kind * _KINDS_APART_M])
-    widest_m2 = np.trace(places.covariance_m2[:, :2, :2], axis1=1, axis2=2)
-    reach_m = _GATE_SIGMAS * np.sqrt(2.0 * (sigma_m**2 + widest_m2))
-    found = cKDTree(points).query_ball_point(points, reach_m)
-    first = np.repeat(np.arange(len(points)), [len(rows) for rows in found])
-    second = np.concatenate([np.asarray(rows, np.int64) for rows in found])
-    swap = places.drive[first] > places.drive[second]
-    both = np.stack([np.where(swap, second, first), np.where(swap, first, second)])
-    first, second = np.unique(both[:, places.drive[first] != places.drive[second]], axis=1)
+
+def _near(places: Places, drives: IntArray, sigma_m: float) -> tuple[Pairs, IntArray]:
+    """Return pairs of one class within reach of each two ``drives`` (d, 2), by these and by their
+    first elements; and the row in ``drives`` of each pair (p,)."""
+    first, second, of = _within_reach(places, drives, sigma_m)
     apart_m = places.position_m[first] - places.position_m[second]
     covariance_m2 = places.covariance_m2[first] + places.covariance_m2[second]
     covariance_m2 = covariance_m2 + 2.0 * sigma_m**2 * np.eye(3)
@@ -92,29 +108,32 @@ def _near(places: Places, sigma_m: float) -> Pairs:
     gate_m = _GATE_SIGMAS * np.sqrt(covariance_m2[:, 2, 2])
     visible_m = np.where(places.is_line[first], _ENDS_APART_M, 0.0)
     near &= np.abs(apart_m[:, 2]) <= gate_m + visible_m
-    return Pairs(first[near], second[near], np.zeros(int(near.sum())))
+    return Pairs(first[near], second[near], np.zeros(int(near.sum()))), of[near]
 
 
-def _by_drives(places: Places, pairs: Pairs) -> Iterator[IntArray]:
-    """Yield the rows of the pairs of each two drives, by their first elements."""
-    drives = places.drive[pairs.first], places.drive[pairs.second]
-    order = np.lexsort((pairs.second, pairs.first, drives[1], drives[0]))
-    changes = np.any([np.diff(drive[order]) != 0 for drive in drives], axis=0)
-    starts = [0, *(np.flatnonzero(changes) + 1).tolist(), len(order)]
-    yield from (order[start:end] for start, end in pairwise(starts) if end > start)
+def _within_reach(places: Places, drives: IntArray, sigma_m: float) -> IntArray:
+    """Return what ``_near`` does (3, p), with what is as far apart as any elements of both drives
+    may be."""
+    from scipy.spatial import cKDTree
+
+    points = np.column_stack([places.position_m[:, :2], places.kind * _KINDS_APART_M])
+    widest_m2 = np.trace(places.covariance_m2[:, :2, :2], axis1=1, axis2=2)
+    reach_m = _GATE_SIGMAS * np.sqrt(2.0 * (sigma_m**2 + widest_m2))
+    ends = np.cumsum(np.bincount(places.drive))
+    elements = np.split(np.argsort(places.drive, kind="stable"), ends[:-1])
+    trees = [cKDTree(points[rows]) for rows in elements]
+    widest_m = [reach_m[rows].max(initial=0.0) for rows in elements]
+    parts = [np.zeros((3, 0), np.int64)]
+    for row, (one, other) in enumerate(drives.tolist()):
+        furthest_m = max(widest_m[one], widest_m[other])
+        near = trees[one].sparse_distance_matrix(trees[other], furthest_m, output_type="ndarray")
+        first, second = elements[one][near["i"]], elements[other][near["j"]]
+        parts.append(np.stack([first, second, np.full(len(near), row)]))
+    pairs = np.concatenate(parts, axis=1)
+    return pairs[:, np.lexsort((pairs[1], pairs[0], pairs[2]))]
 
 
-def _believed(places: Places, pairs: Pairs, sigma_m: float) -> Pairs:
-    """Return those of the pairs of two drives, ordered by first elements, that are believed."""
-    support, around = _support(places, pairs, sigma_m)
-    score = support - np.maximum(
-        _best_rival(pairs.first, support), _best_rival(pairs.second, support)
-    )
-    is_clear = (support >= _LEAST_SHARE * around) & (score >= _MARGIN)
-    return Pairs(pairs.first, pairs.second, score).where(is_clear)
-
-
-def _support(places: Places, pairs: Pairs, sigma_m: float) -> tuple[FloatArray, FloatArray]:
+def _support(places: Places, pairs: Pairs, sigma_m: float) -> FloatArray:
     """Return how many elements around each pair (p,) are shifted alike, itself included, and how
     many there are."""
     at_m = places.position_m[pairs.first]
@@ -132,7 +151,7 @@ def _support(places: Places, pairs: Pairs, sigma_m: float) -> tuple[FloatArray, 
     starts = np.flatnonzero(np.diff(pairs.first, prepend=-1))
     support = np.maximum.reduceat(alike, starts, axis=1).sum(axis=1)
     around = np.maximum.reduceat(near, starts, axis=1).sum(axis=1)
-    return support, around.astype(np.float64)
+    return np.stack([support, around])
 
 
 def _squared_on_ground(offset_m: FloatArray, covariance_m2: FloatArray) -> FloatArray:
