@@ -185,6 +185,30 @@ def test_a_signs_middle_is_found_from_a_click_on_its_face(class_id: int) -> None
     assert np.percentile(errors, 90) < 0.3
 
 
+def box(middle: FloatArray, half: FloatArray) -> FloatArray:
+    return middle + np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half
+
+
+@pytest.mark.parametrize("half", [5.0, 6.0])
+@pytest.mark.parametrize("letters", [20, 60])
+@pytest.mark.parametrize("share", [0.95, 1.0])
+def test_a_plate_is_found_although_a_clearer_board_reaches_behind_it(
+    half: float, letters: int, share: float
+) -> None:
+    """The click is on the inner half of the plate, but at the edge of the board."""
+    board, of_board = np.array([66.0, 90.0]), np.array([24.0, 34.0])
+    picture = drawn(box(board, of_board), (235, 238, 232), plain(90, 110, 130))
+    middle = np.array([board[0] + share * of_board[0], 92.0])
+    picture = drawn(box(middle, np.array([half, 1.1 * half])), (120, 135, 150), picture)
+    for line in (-0.6, 0.0, 0.6):
+        place = middle + half * np.array([0.12, line])
+        picture = drawn(box(place, half * np.array([0.75, 0.14])), (letters,) * 3, picture)
+    u, v = middle + np.array([0.5, -0.5])
+    found = snap(MarkedImage.of(VIEW, picture), Mark((u, v)), DEFAULT_CLASSES[RECTANGULAR])
+    assert found is not None
+    assert np.linalg.norm(found.mark.ends_px[0] - middle) < 1.0
+
+
 def test_on_a_street() -> None:
     """From careless clicks to the truth: 0.3 px in the median, and rarely something else."""
     street, rng = Street(1100), np.random.default_rng(0)

@@ -29,7 +29,7 @@ from semviz_core.subpixel.pole_ends import (
 )
 from semviz_core.subpixel.pole_fit import refine_axis
 from semviz_core.subpixel.sampling import Samples
-from semviz_core.subpixel.sign_outline import find_outlines
+from semviz_core.subpixel.sign_outline import Outline, find_outlines
 
 _STEP_PX = 0.5
 _ROUND_PX = 6.0
@@ -275,25 +275,32 @@ def _on_axis(
 
 
 def _sign(image: MarkedImage, mark: Mark, element_class: ElementClass) -> Snap | None:
-    outlines = find_outlines(image, mark.ends_px[0], element_class.shape)
-    if not outlines:
+    around = [
+        outline
+        for outline in find_outlines(image, mark.ends_px[0], element_class.shape)
+        if _off_center(image, outline, mark) <= _LARGEST_SHIFT
+    ]
+    if not around:
         return None
-    best = outlines[0]
+    best, *others = around
     middle = best.middle_px(image.triangle_center)
-    shift = middle - mark.ends_px[0]
-    if np.abs(shift / best.half_px).max() > _LARGEST_SHIFT:
-        return None
     margins = [
         best.score - outline.score
-        for outline in outlines[1:]
+        for outline in others
         if np.linalg.norm(outline.middle_px(image.triangle_center) - middle) > 1.0
     ]
     evidence = np.array(
-        [*best.evidence[1:], best.score, min([5.0, *margins]), np.abs(shift / best.half_px).max()]
+        [*best.evidence[1:], best.score, min([5.0, *margins]), _off_center(image, best, mark)]
     )
     moved = replace(mark, anchor_px=pixel(middle))
-    snapped = Snapped(moved, float(np.linalg.norm(shift)), True, False)
+    snapped = Snapped(moved, float(np.linalg.norm(middle - mark.ends_px[0])), True, False)
     return Snap(snapped, evidence, float(best.half_px.mean()))
+
+
+def _off_center(image: MarkedImage, outline: Outline, mark: Mark) -> float:
+    """Return how far a mark is from an outline's middle, in half sizes."""
+    shift = outline.middle_px(image.triangle_center) - mark.ends_px[0]
+    return float(np.abs(shift / outline.half_px).max())
 
 
 POINTER_PX = 5.0
