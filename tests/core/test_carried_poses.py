@@ -5,12 +5,14 @@ from functools import lru_cache
 from itertools import count
 
 import numpy as np
+import pytest
 from support.planted_runs import PlantedRun, plant_in_run
 
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
 from semviz_core.diagnosis.carried_poses import with_carried_poses
 from semviz_core.diagnosis.fault import FaultKind
+from semviz_core.diagnosis.joint_fit import JointFit, joint_fits
 from semviz_core.diagnosis.reference import FrameReference, is_near, pose_distance
 from semviz_core.diagnosis.run import diagnose_run
 from semviz_core.research.evaluation.problems import DETECTOR, default_road
@@ -82,3 +84,30 @@ def test_a_moved_element_is_named_though_few_frames_have_a_pose() -> None:
     assert [fault.kind for fault in found.elements] == ["moved in the map"]
     assert set(found.elements[0].elements) == set(run.elements)
     assert found.frames == len(frames)
+
+
+def fits(fault: FaultKind) -> list[JointFit]:
+    run = drive(fault)
+    return joint_fits(with_carried_poses(cases(run, few_ok(run)), run.odometry), run.odometry)
+
+
+@pytest.mark.parametrize("fault", ["wrong odometry", "wrong detection sigma"])
+def test_the_planted_cause_is_the_likeliest(fault: FaultKind) -> None:
+    best = fits(fault)[0]
+    assert best.cause.kind == fault
+    assert best.is_fault
+
+
+@pytest.mark.parametrize("fault", ["healthy", "moved in the map", "missing in the map"])
+def test_nothing_and_single_elements_are_no_common_cause(fault: FaultKind) -> None:
+    found = fits(fault)
+    assert found
+    assert not any(fit.is_fault for fit in found)
+
+
+def test_runs_with_two_sure_frames_name_their_odometry() -> None:
+    run = drive("wrong odometry")
+    frames = [(result, None) for result in few_ok(run)]
+    found = diagnose_run(frames, run.semantic_map, DETECTOR, odometry=run.odometry)
+    assert found.causes[0].kind == "wrong odometry"
+    assert "fitted together" in found.causes[0].sentence

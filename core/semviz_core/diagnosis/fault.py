@@ -75,6 +75,8 @@ class RunFault(Fault):
 
     frames: tuple[int, ...] = ()
     """Positions in the run of the frames with the fault."""
+    rivals: tuple[FaultKind, ...] = ()
+    """Other kinds that the run cannot tell from this one; the sentence names them."""
 
 
 @dataclass(frozen=True)

@@ -115,7 +115,7 @@ def _drift(stretches: Sequence[_Stretch]) -> tuple[str, EvidenceItem] | None:
             continue
         if best is None or nats > best[0]:
             item = EvidenceItem(name, value * factor, unit)
-            best = nats, _drift_sentence(k, value * factor), item
+            best = nats, drift_sentence(k, value * factor), item
     return None if best is None else best[1:]
 
 
@@ -154,7 +154,8 @@ def _joint_covariance(stretches: Sequence[_Stretch]) -> FloatArray:
     return joint.reshape(6 * len(stretches), 6 * len(stretches))
 
 
-def _drift_sentence(k: int, size: float) -> str:
+def drift_sentence(k: int, size: float) -> str:
+    """Return the size of a drift of ``DRIFTS`` as people read it."""
     if k == 0:
         return f"it is {abs(size):.1f} % too {'long' if size > 0.0 else 'short'}"
     return f"it turns {abs(size):.2f} deg per step too far {'right' if size > 0.0 else 'left'}"

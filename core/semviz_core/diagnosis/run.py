@@ -117,9 +117,16 @@ def diagnose_run(
         compass = run_causes.tracked_heading_fault(cases, odometry, watch)
         causes += [] if compass is None else [compass]
     if odometry is not None and blind and not causes and calibration is None:
-        cases = with_carried_poses(cases, odometry, watch)
-        positions = _with_pose(cases)
-        compared = [cases[position] for position in positions]
+        carried = with_carried_poses(cases, odometry, watch)
+        joint = run_causes.joint_fault(carried, odometry)
+        if joint is not None and joint.kind == "wrong calibration":
+            calibration = joint
+        elif joint is not None:
+            causes.append(joint)
+        if joint is None or joint.kind != "wrong odometry":
+            cases = carried
+            positions = _with_pose(cases)
+            compared = [cases[position] for position in positions]
     for cause in causes:
         if cause.kind == "wrong detection sigma":
             compared = [with_sigma_scaled(case, cause.evidence[1].value) for case in compared]

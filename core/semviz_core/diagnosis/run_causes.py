@@ -22,10 +22,12 @@ from semviz_core.diagnosis.assumptions import (
     solved_without_heading,
 )
 from semviz_core.diagnosis.carried_poses import with_carried_poses
-from semviz_core.diagnosis.cause_fits import CauseFit, RatedCause
+from semviz_core.diagnosis.cause_fits import RIVAL_NATS, CauseFit, RatedCause
 from semviz_core.diagnosis.common_causes import CALIBRATIONS
 from semviz_core.diagnosis.fault import EvidenceItem, Fault, FaultKind, RunFault
 from semviz_core.diagnosis.frame_causes import likeliest_sigma_fault, sigma_gains
+from semviz_core.diagnosis.joint_fit import JointFit, fitted_rows, joint_fits
+from semviz_core.diagnosis.odometry import DRIFTS, drift_sentence
 from semviz_core.diagnosis.prior_offsets import PriorOffset
 from semviz_core.diagnosis.reference import (
     FrameReference,
@@ -83,6 +85,50 @@ def tracked_heading_fault(
     return _assumption_fault("wrong heading prior", reported, len(cases))
 
 
+def joint_fault(
+    cases: Sequence[FrameReference], odometry: Sequence[Odometry | None]
+) -> RunFault | None:
+    """Return the cause that poses, elements and odometry fitted together support, if any.
+
+    No frame has a true pose; ``cases`` have the poses that odometry carries to them.
+    """
+    fits = joint_fits(cases, odometry)
+    if not fits or not fits[0].is_fault:
+        return None
+    best = fits[0]
+    rows = fitted_rows(cases, odometry)
+    close = [fit for fit in fits[1:] if fit.is_fault and fit.nats > best.nats - RIVAL_NATS]
+    rivals = {fit.cause.kind: fit.cause.name for fit in close if fit.cause.kind != best.cause.kind}
+    if best.cause.kind == "wrong gravity prior":
+        rivals["wrong calibration"] = "the camera is mounted rolled"
+    size = float(best.value[np.argmax(np.abs(best.value))]) * best.cause.in_unit
+    return RunFault(
+        best.cause.kind,
+        f"{len(rows)} frames, fitted together with their odometry, show it: {_joint_size(best)}."
+        + _rivals_sentence(list(rivals.values())),
+        (
+            EvidenceItem("frames", len(rows)),
+            EvidenceItem(best.cause.name, size, best.cause.unit),
+            EvidenceItem("strength", best.nats, "nats"),
+        ),
+        frames=tuple(rows),
+        rivals=tuple(rivals),
+    )
+
+
+def _joint_size(fit: JointFit) -> str:
+    values = fit.value * fit.cause.in_unit
+    for k, (name, _, _) in enumerate(DRIFTS):
+        if fit.cause.name == name:
+            return f"the odometry is wrong, {drift_sentence(k, float(values[0]))}"
+    if fit.cause.kind == "wrong detection sigma":
+        return f"the detections are about {values[0]:.1f} times less accurate than they state"
+    if fit.cause.kind == "wrong gravity prior":
+        return f"gravity is rolled by {values[0]:+.1f} deg in all of them"
+    down = f" across and {values[-1]:+.1f} {fit.cause.unit} down" if len(values) > 1 else ""
+    return f"an error of {values[0]:+.1f} {fit.cause.unit}{down} in {fit.cause.name}"
+
+
 def _assumptions(case: FrameReference) -> tuple[Fault, ...]:
     if case.truth is not None or case.localization.status == "ok":
         return prior_faults(case)
@@ -102,6 +148,7 @@ def _assumption_fault(
         f"In {len(reported)} of {total} frames, typically: {middle.sentence}{also}",
         (EvidenceItem("frames", len(reported)), *middle.evidence),
         frames=tuple(row for row, _ in reported),
+        rivals=("wrong calibration",) if also else (),
     )
 
 
