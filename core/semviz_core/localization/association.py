@@ -151,7 +151,8 @@ def _directions(
     problem: PoseProblem, R: FloatArray, t: FloatArray, pose_covariance: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Return the rows (k,) of the mapped elements that may be near an observed one in angle, the
-    variance (k,) in rad^2 and the unit direction (3, k) of each one's anchor."""
+    variance (k,) in rad^2 and the unit direction of each one's anchor: (3, k), with room for more,
+    since a part of it would not be contiguous."""
     in_sight, least = rows_in_sight(problem, *_center(R, t)), _least_cosine(problem)
     row, count = np.empty(len(in_sight), dtype=np.int64), 0
     variance, direction = np.empty(len(in_sight)), np.empty((3, len(in_sight)))
@@ -169,7 +170,7 @@ def _directions(
         spread = position_variance + problem.mapped[j].largest_m2
         variance[count] = spread / max(square, 1.0) + rotation_variance
         count += 1
-    return row[:count], variance[:count], direction[:, :count]
+    return row[:count], variance[:count], direction
 
 
 @compiled_leaf
@@ -197,8 +198,8 @@ def _largest(covariance: FloatArray, first: int) -> float:
 def _fill_beyond(
     seen: Record, focal: float, variance: FloatArray, direction: FloatArray, beyond: FloatArray
 ) -> None:
-    """Fill in by how much (rad^2) mapped directions (3, k) are too far from an observed element for
-    residuals to be worth computing: a pole's from its plane, a point's from its ray."""
+    """Fill in by how much (rad^2) each of k mapped directions is too far from an observed element
+    for residuals to be worth computing: from a pole's plane, or a point's ray."""
     own = max(seen.variance_px2[0], seen.variance_px2[1]) / (focal * focal)
     normal = seen.plane if seen.is_line else seen.anchor_ray
     a, b, c = normal[0], normal[1], normal[2]
