@@ -31,7 +31,7 @@ from semviz_core.localization.localizer import NEEDED_ELEMENTS
 from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.residuals import problem_residuals
 from semviz_core.localization.search import APART_M, APART_RAD, BASIN_M, mode_near
-from semviz_core.localization.status import ambiguous_nats
+from semviz_core.localization.status import AMBIGUOUS_NATS
 from semviz_core.localization.upright import assumed_upright
 
 MATRIX_FROM_POSES = ("search", "track")
@@ -238,8 +238,7 @@ def check_observability(case: FrameReference) -> Fault | None:
         return None
     rivals = 0
     if result.search is not None and len(result.search.score):
-        nats = ambiguous_nats(result.given_prior)
-        rivals = int((result.search.score[0] - result.search.score < nats).sum())
+        rivals = int((result.search.score[0] - result.search.score < AMBIGUOUS_NATS).sum())
     if rivals > 1:
         gap = float(result.search.score[0] - result.search.score[1]) if result.search else 0.0
         sentence = f"{rivals} poses explain the image about equally well."

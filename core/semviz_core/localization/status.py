@@ -22,14 +22,11 @@ from semviz_core.localization.refinement import NEEDED_PAIRS, PoseEstimate
 from semviz_core.localization.residuals import EXACT_POSE
 from semviz_core.localization.search import Modes, pose_distances
 
-AMBIGUOUS_NATS, AREA_NATS, MOST_NATS, ORDINARY_FIX_M = 9.0, 2.0, 14.0, 5.0
-"""Another mode within the first of the best makes the pose ambiguous. Behind a wider fix than the
-last more poses fit by chance, as many as its area is larger: so many nats more for each factor of e
-in its sigma, up to the third."""
-SCALE_NATS = 6.0
-"""As many nats more for each factor of e by which the sigma of the detections is too small."""
+AMBIGUOUS_NATS, SCALE_NATS = 14.0, 6.0
+"""Another mode within the first of the best makes the pose ambiguous; within as much more as the
+second for each factor of e by which the stated sigma of the detections is too small."""
 SURE_PROBABILITY = 0.95
-"""A pose with a lower verifier probability is ambiguous; replaces the nats."""
+"""A pose with a lower verifier probability is ambiguous; replaces AMBIGUOUS_NATS."""
 LIKELY_PROBABILITY = 0.5
 """A pose with at least this verifier probability is ambiguous, not rejected, if few pairs fit."""
 LEAST_SUPPORT_NATS = 5.0
@@ -41,7 +38,7 @@ SURE_PAIRS = 4
 LEAST_SHARE, PLENTY = 0.5, 6
 """Share that must fit of the observed elements that the submap can explain, up to so many: a wrong
 position explains a few by chance, seldom half. Of the rest, most are false in clutter."""
-SURE_SIGMA_M = 0.45
+SURE_SIGMA_M = 0.5
 """A pose whose position is less certain than this is ambiguous."""
 CROWDED_MAP = 1000
 """In maps with fewer elements, chance fits too few to matter."""
@@ -107,7 +104,7 @@ def _decided(
         return StatusDecision("cannot", f"Only {of_all} fit the best pose; {needed} needed.")
     sigma_m = float(np.sqrt(np.trace(estimate.covariance[:3, :3])))
     doubts = (
-        _ambiguity(modes, estimate.T_camera_map, prior)
+        _ambiguity(modes, estimate.T_camera_map)
         if probability is None
         else _low_probability(probability),
         *_contradictions(estimate.T_camera_map, prior),
@@ -155,14 +152,8 @@ def explicable_elements(observed: Elements2D, submap: Elements3D) -> int:
     return int(np.minimum(seen, np.bincount(submap.class_id, minlength=length)).sum())
 
 
-def ambiguous_nats(prior: Prior) -> float:
-    """Return the nats within which another mode makes a pose ambiguous."""
-    wider = max(prior.horizontal_sigma_m / ORDINARY_FIX_M, 1.0)
-    return min(AMBIGUOUS_NATS + AREA_NATS * float(np.log(wider)), MOST_NATS)
-
-
-def _ambiguity(modes: Modes, T_camera_map: Pose, prior: Prior) -> str:
-    needed_nats = ambiguous_nats(prior) + SCALE_NATS * float(np.log(modes.sigma_scale))
+def _ambiguity(modes: Modes, T_camera_map: Pose) -> str:
+    needed_nats = AMBIGUOUS_NATS + SCALE_NATS * float(np.log(modes.sigma_scale))
     rivals = int((modes.score[0] - modes.score < needed_nats).sum())
     if rivals < 2:
         return ""
@@ -243,4 +234,4 @@ def _dependence(fit: Refinement, submap: Elements3D) -> str:
 def _uncertain(sigma_m: float) -> str:
     if sigma_m <= SURE_SIGMA_M:
         return ""
-    return f"The pairs fix the position only to {sigma_m:.2g} m; {SURE_SIGMA_M:.2g} m is sure."
+    return f"The pairs fix the position only to {sigma_m:.2g} m; {SURE_SIGMA_M:.1f} m is sure."
