@@ -19,7 +19,7 @@ from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, int_array
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.jit import compiled, compiled_leaf
 from semviz_core.localization.prior_residuals import prior_chi2
-from semviz_core.localization.problem import PoseProblem, PriorRecord, rows_in_sight
+from semviz_core.localization.problem import PoseProblem, PriorRecord, Record, rows_in_sight
 from semviz_core.localization.residuals import (
     EXACT_POSE,
     INLIER_CHI2,
@@ -40,6 +40,8 @@ BEYOND_REACH = 0.02
 """Chance of detection beyond the detector's reach."""
 NEAR_COSINE = 0.5
 """Elements further apart in angle (cosine) are never a pair."""
+WIDER_GATE = 1.5 * float(INLIER_CHI2[4])
+"""Gate of angles (chi2), wider than the test that follows."""
 LEAST_CHANCE = 1e-200
 """Products below this go into the logarithm, before they underflow."""
 _NONE = -np.inf
@@ -78,9 +80,10 @@ def gated_pairs(
     row, variance, direction = _directions(problem, R, t, pose_covariance)
     seen, mapped = np.empty(16, dtype=np.int64), np.empty(16, dtype=np.int64)
     gain, count, rows = np.empty(16), 0, new_rows()
-    near = np.empty(len(row), dtype=np.int64)
+    beyond, near = np.empty(len(row)), np.empty(len(row), dtype=np.int64)
     for i in range(len(problem.seen)):
-        for k in range(_fill_near(problem, i, row, variance, direction, near)):
+        _fill_beyond(problem.seen[i], problem.setting.K[0, 0], variance, direction, beyond)
+        for k in range(_fill_near(problem, i, row, direction, beyond, near)):
             j = near[k]
             value = pair_gain(problem, R, t, i, j, pose_covariance, rows)
             if value == _NONE:
@@ -148,7 +151,8 @@ def _directions(
     problem: PoseProblem, R: FloatArray, t: FloatArray, pose_covariance: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Return the rows (k,) of the mapped elements that may be near an observed one in angle, the
-    variance (k,) in rad^2 and the unit direction (3, k) of each one's anchor."""
+    variance (k,) in rad^2 and the unit direction of each one's anchor: (3, k), with room for more,
+    since a part of it would not be contiguous."""
     in_sight, least = rows_in_sight(problem, *_center(R, t)), _least_cosine(problem)
     row, count = np.empty(len(in_sight), dtype=np.int64), 0
     variance, direction = np.empty(len(in_sight)), np.empty((3, len(in_sight)))
@@ -163,10 +167,10 @@ def _directions(
         row[count] = j
         direction[0, count], direction[1, count] = x / reach, y / reach
         direction[2, count] = z / reach
-        spread = position_variance + _largest(problem.mapped[j].covariance_m2, 0)
+        spread = position_variance + problem.mapped[j].largest_m2
         variance[count] = spread / max(square, 1.0) + rotation_variance
         count += 1
-    return row[:count], variance[:count], direction[:, :count]
+    return row[:count], variance[:count], direction
 
 
 @compiled_leaf
@@ -191,34 +195,50 @@ def _largest(covariance: FloatArray, first: int) -> float:
 
 
 @compiled_leaf
+def _fill_beyond(
+    seen: Record, focal: float, variance: FloatArray, direction: FloatArray, beyond: FloatArray
+) -> None:
+    """Fill in by how much (rad^2) each of k mapped directions is too far from an observed element
+    for residuals to be worth computing: from a pole's plane, or a point's ray."""
+    own = max(seen.variance_px2[0], seen.variance_px2[1]) / (focal * focal)
+    normal = seen.plane if seen.is_line else seen.anchor_ray
+    a, b, c = normal[0], normal[1], normal[2]
+    by_square, by_cosine, start = (1.0, 0.0, 0.0) if seen.is_line else (0.0, -2.0, 2.0)
+    for k in range(len(beyond)):  # compiles to vector instructions
+        along = a * direction[0, k] + b * direction[1, k] + c * direction[2, k]
+        gate = WIDER_GATE * (own + variance[k])
+        beyond[k] = start + along * (by_cosine + by_square * along) - gate
+
+
+@compiled_leaf
 def _fill_near(
     problem: PoseProblem,
     i: int,
     row: IntArray,
-    variance: FloatArray,
     direction: FloatArray,
+    beyond: FloatArray,
     near: IntArray,
 ) -> int:
     """Fill in the mapped rows so close to observed i in angle that residuals are worth computing;
     return how many there are."""
-    seen, focal, count = problem.seen[i], problem.setting.K[0, 0], 0
-    ray, plane = seen.anchor_ray, seen.plane
-    own = max(seen.variance_px2[0], seen.variance_px2[1]) / (focal * focal)
+    passed = 0
     for k in range(len(row)):
+        near[passed] = k
+        passed += int(beyond[k] < 0.0)
+    seen, count = problem.seen[i], 0
+    ray, plane = seen.anchor_ray, seen.plane
+    for k in near[:passed]:
         x, y, z = direction[0, k], direction[1, k], direction[2, k]
         cosine = ray[0] * x + ray[1] * y + ray[2] * z
         if cosine < NEAR_COSINE or not problem.compatible[i, row[k]]:
             continue
-        gate = 1.5 * INLIER_CHI2[4] * (own + variance[k])  # wider than the test that follows
-        if seen.is_line:
+        if seen.is_line and seen.known[0] and problem.mapped[row[k]].known[0]:
+            # peaks known on both sides are near each other; else one may be anywhere on the pole
             distance = plane[0] * x + plane[1] * y + plane[2] * z
-            if distance * distance >= gate:
+            if beyond[k] - distance * distance + 2.0 - 2.0 * cosine >= 0.0:
                 continue
-            if not (seen.known[0] and problem.mapped[row[k]].known[0]):
-                cosine = 1.0  # without both peaks, it may be anywhere along the pole
-        if 2.0 - 2.0 * cosine < gate:
-            near[count] = row[k]
-            count += 1
+        near[count] = row[k]
+        count += 1
     return count
 
 

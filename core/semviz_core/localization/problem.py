@@ -74,6 +74,7 @@ MAPPED = np.dtype(
         ("anchor_m", float, (3,)),
         ("end_m", float, (3,)),
         ("covariance_m2", float, (6, 6)),
+        ("largest_m2", float),  # an upper bound of the anchor's variance in any direction
         ("known", np.uint8, (2,)),  # peak, bottom
     ],
     align=True,
@@ -312,6 +313,8 @@ def _mapped(elements: Elements3D) -> RecordArray:
     mapped["anchor_m"] = elements.anchor_m
     mapped["end_m"] = np.where(elements.is_line[:, None], elements.end_m, elements.anchor_m)
     mapped["covariance_m2"] = elements.covariance_m2
+    of_anchor = np.abs(elements.covariance_m2[:, :3, :3])
+    mapped["largest_m2"] = of_anchor.sum(axis=2).max(axis=1)  # Gershgorin
     mapped["known"][:, 0], mapped["known"][:, 1] = elements.anchor_known, elements.end_known
     return mapped
 

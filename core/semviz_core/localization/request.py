@@ -46,8 +46,8 @@ def check_request(
 
 
 def _check_classes(elements: Elements2D | Elements3D, whose: str, classes: ClassSet) -> None:
-    rows = list(zip(elements.class_id.tolist(), elements.is_line.tolist(), strict=True))
-    for class_id, is_line in sorted(set(rows)):
+    kinds = 2 * elements.class_id + elements.is_line
+    for class_id, is_line in (divmod(kind, 2) for kind in np.unique(kinds).tolist()):
         if class_id not in classes:
             known = ", ".join(f"{class_.id} ({class_.name})" for class_ in classes)
             raise SemvizError(f"{whose} elements have unknown class {class_id}; known: {known}")
@@ -55,7 +55,8 @@ def _check_classes(elements: Elements2D | Elements3D, whose: str, classes: Class
             mistake = "an end, but is a point; make it NaN"
             if not is_line:
                 mistake = "no end; give the last visible point and end_known False"
-            row, name = rows.index((class_id, is_line)), classes[class_id].name
+            row = int(np.argmax(kinds == 2 * class_id + is_line))
+            name = classes[class_id].name
             raise SemvizError(f"{whose} element in row {row}, a {name}, has {mistake}")
 
 
