@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from semviz_core.localization.association import posterior_match, sinkhorn_with_dustbin
+from semviz_core.localization.match_probabilities import posterior_match, sinkhorn_with_dustbin
 
 GAINS = st.tuples(st.integers(1, 6), st.integers(1, 9)).flatmap(
     lambda shape: arrays(

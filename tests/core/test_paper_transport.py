@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from semviz_core.localization.association import sinkhorn_with_dustbin
+from semviz_core.localization.match_probabilities import sinkhorn_with_dustbin
 from semviz_core.research.paper import matcher_torch
 from semviz_core.research.paper.matcher import uniform_transport
 from semviz_core.research.paper.matcher_torch import sinkhorn, sinkhorn_with_dustbins

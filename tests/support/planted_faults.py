@@ -25,14 +25,10 @@ from semviz_core.base.semantic_map import MapFrame, SemanticMap
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.diagnosis.fault import FaultKind, GroundTruth
 from semviz_core.diagnosis.reference import is_healthy, pose_distance
-from semviz_core.localization.association import (
-    all_gains,
-    associate,
-    log_likelihood,
-    posterior_match,
-)
+from semviz_core.localization.association import all_gains, associate, log_likelihood
 from semviz_core.localization.least_squares import fit
 from semviz_core.localization.localizer import NEEDED_ELEMENTS, Localizer
+from semviz_core.localization.match_probabilities import posterior_match
 from semviz_core.localization.problem import PoseProblem, PriorRecord
 from semviz_core.localization.refinement import Failure, refine_pose
 from semviz_core.localization.residuals import EXACT_POSE, pair_residuals, problem_residuals

@@ -25,13 +25,14 @@ from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.jit import Stopwatch, count_compiled, in_order
 from semviz_core.localization import refinement
-from semviz_core.localization.association import PairConstraints, posterior_match
+from semviz_core.localization.association import PairConstraints
 from semviz_core.localization.correspondences.matcher import (
     CoupleHypotheses,
     PairMatcher,
     load_pair_matcher,
 )
 from semviz_core.localization.heading_votes import DEFAULT_EFFORT, OF_COUPLES, WIDE, Effort
+from semviz_core.localization.match_probabilities import posterior_match
 from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.request import check_request, example_request
 from semviz_core.localization.search import (

@@ -20,11 +20,12 @@ from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.jit import Stopwatch
 from semviz_core.common.linalg import inverse
-from semviz_core.localization.association import all_gains, posterior_match
+from semviz_core.localization.association import all_gains
 from semviz_core.localization.camera_views import STANDING, BodyMotion, CameraView, prior_of_camera
 from semviz_core.localization.heading_votes import DEFAULT_EFFORT
 from semviz_core.localization.least_squares import fit
 from semviz_core.localization.localizer import alternatives_of, nothing_fits, too_few
+from semviz_core.localization.match_probabilities import posterior_match
 from semviz_core.localization.problem import PriorRecord
 from semviz_core.localization.refinement import Failure, PoseEstimate, refine_pose
 from semviz_core.localization.request import check_request

@@ -22,7 +22,7 @@ from semviz_core.base.localization import Match
 from semviz_core.base.weights import NetworkWeights, load_trained, version_error
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.jit import compiled
-from semviz_core.localization.association import SURELY_REAL_NATS, sinkhorn_with_dustbin
+from semviz_core.localization.association import SURELY_REAL_NATS
 from semviz_core.localization.correspondences import network
 from semviz_core.localization.correspondences.candidate_pairs import (
     Compass,
@@ -36,6 +36,7 @@ from semviz_core.localization.heading_votes import (
     Effort,
     heading_allowed,
 )
+from semviz_core.localization.match_probabilities import sinkhorn_with_dustbin
 from semviz_core.localization.prior_residuals import MOST_ROADS, road_heights
 from semviz_core.localization.problem import PoseProblem, PriorRecord, RecordArray
 from semviz_core.localization.rating import (

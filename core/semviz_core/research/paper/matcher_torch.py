@@ -73,7 +73,7 @@ def sinkhorn_with_dustbins(
     """Return LOG probabilities (b, m + 1, n + 1); rows i < m and columns j < n sum to 1.
 
     ``score`` (b, m, n) rates pairs, ``seen_bin`` (b, m) and ``mapped_bin`` (b, n) no pair. The
-    log-odds are their difference, as in ``association.sinkhorn_with_dustbin``. Impossible pairs and
+    log-odds are their difference, as in ``sinkhorn_with_dustbin``. Impossible pairs and
     the corner are -inf. Elements without a possible pair, such as padding, are in their dustbin for
     certain: log 1 = 0.
     """
