@@ -21,6 +21,7 @@ from semviz_core.base.camera import Rig
 from semviz_core.base.frame import Frame
 from semviz_core.base.semantic_map import MapFrame
 from semviz_core.common.errors import SemvizError, require_extra
+from semviz_core.common.progress import OnProgress
 
 FILE = "backdrop.safetensors"
 
@@ -35,7 +36,7 @@ def ensure_backdrop(
     frames: Sequence[Frame],
     options: depth_fusion.FusionOptions,
     force: bool,
-    on_progress: depth_fusion.OnProgress,
+    on_progress: OnProgress,
 ) -> tuple[Backdrop, bool]:
     """Return the backdrop from ``frames``, and whether it was made now, or was up to date.
 

@@ -33,6 +33,7 @@ from semviz_annotation.mapping.build import POSES
 from semviz_core.base.frame import FileDataset, Frame, Side
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
+from semviz_core.common.progress import OnProgress
 from semviz_core.datasets.rig_cameras import DatasetWithFrames, cameras_by_frame, frames_of_camera
 from semviz_core.datasets.validation import Calibration
 from semviz_core.pose_checks import faults, image_motions
@@ -49,7 +50,7 @@ def motions_path(workspace: Workspace) -> Path:
 
 
 def check_poses(
-    workspace: Workspace, frames: Sequence[Frame], on_progress: image_motions.OnProgress
+    workspace: Workspace, frames: Sequence[Frame], on_progress: OnProgress
 ) -> faults.PoseCheck:
     """Return what images say about the poses of ``frames``.
 

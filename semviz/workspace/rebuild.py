@@ -5,7 +5,7 @@ run observed labels, the present ones are read. A stopped rebuild leaves nothing
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -29,15 +29,13 @@ from semviz_core.base.frame import Frame
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import IntArray
 from semviz_core.common.errors import SemvizError
+from semviz_core.common.progress import OnProgress, unwatched
 from semviz_core.diagnosis.fault import UNKNOWN_ID
 from semviz_core.localization.localizer import Localizer
 
-OnProgress = Callable[[str, int, int], None]
-"""Called with the name of the step, its steps done, and their number."""
-
 
 def rebuild_run(
-    run: Run, path: Path, workspace: Workspace, on_progress: OnProgress = lambda step, i, n: None
+    run: Run, path: Path, workspace: Workspace, on_progress: OnProgress = unwatched
 ) -> Run:
     """Write a new run to ``path``, with the map built again from the present labels.
 
