@@ -1,14 +1,13 @@
 """The view "Poses" of the labelling page: what is wrong, three answers, preview, undo."""
 
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from annotator_page import Served, annotating
+from annotator_page import Served
 from journeys.driver import LabelDriver
 from turned_drive import TURNED, drive, labels, measured_town, wrong_poses
 
@@ -39,12 +38,6 @@ def workspace(measured_town: Path, tmp_path: Path) -> Workspace:
 def unmeasured(workspace: Workspace) -> Workspace:
     motions_path(workspace).unlink()
     return workspace
-
-
-@pytest.fixture
-def served(workspace: Workspace) -> Iterator[Served]:
-    with annotating(workspace) as served:
-        yield served
 
 
 @pytest.fixture

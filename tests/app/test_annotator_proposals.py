@@ -1,6 +1,5 @@
 """The page's proposals on a simulated street: accepted, rejected, kept through failures."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -59,19 +58,6 @@ def truth(street: Street, frame: int, side: Side, element: int) -> tuple[np.ndar
 @pytest.fixture
 def workspace(tmp_path: Path) -> Workspace:
     return street_workspace(tmp_path / "street", 7, 6)
-
-
-@pytest.fixture
-def served(workspace: Workspace) -> Iterator[Served]:
-    with annotating(workspace) as served:
-        yield served
-
-
-@pytest.fixture
-def driver(served: Served, page: "Page") -> LabelDriver:
-    driver = LabelDriver(page)
-    driver.open(served.url)
-    return driver
 
 
 def draw_first(driver: LabelDriver, served: Served) -> int:
