@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Container
 
 from semviz.annotator import operation_texts, views
-from semviz.annotator.draft import LabelledFrameView
+from semviz.annotator.drawing.draft import LabelledFrameView
 from semviz.annotator.frame_quality import FrameQuality
 from semviz.annotator.panes import Panes
 from semviz.annotator.views import OperationView, TeamSummary

@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from semviz.annotator.detection_tracks import DetectionTrack, DetectionTracks, OpenTracks
+from semviz.annotator.tracks.detection_tracks import DetectionTrack, DetectionTracks, OpenTracks
 from semviz.web.protocol import Part, RefusedError
 from semviz.workspace.map_review import (
     EntryElement,

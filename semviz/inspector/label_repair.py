@@ -151,7 +151,7 @@ class RunLabels:
 
     def _reject(self, element_id: int, track: tuple[Proposal, ...], base: EditBase | None) -> None:
         """Add a track of detections as an element that is left out of maps."""
-        from semviz.annotator.detection_tracks import free_detections, mark_of
+        from semviz.annotator.tracks.detection_tracks import free_detections, mark_of
 
         track_id, labels = self._label_ids_of_map(element_id)[0], self.workspace.read_labels()
         rows = tuple(

@@ -11,7 +11,7 @@ from annotator_page import Served
 from journeys.driver import LabelDriver
 from turned_drive import TURNED, drive, labels, measured_town, wrong_poses
 
-from semviz.annotator import pose_views
+from semviz.annotator.drive import pose_views
 from semviz.reports.pose_check import check_text
 from semviz.workspace.pose_review import check_poses, known_check, motions_path
 from semviz.workspace.workspace import Workspace

@@ -11,7 +11,7 @@ from annotator_page import Served, annotating
 from recorded_streets import LENSES, record
 from streets import street, street_workspace
 
-from semviz.annotator.drive_view import drive_pair, drive_view
+from semviz.annotator.drive.drive_view import drive_pair, drive_view
 from semviz.cli import main
 from semviz.workspace.drive_check_file import CHECKS
 from semviz.workspace.workspace import Workspace

@@ -2,11 +2,11 @@
 /* The legend on the image: lines, marks, residual colours and lengths. */
 
 import { ON_IMAGE, RESIDUAL_LIMITS_PX, drawArrow, drawFalse, drawHandle, drawMissed } from "/static/glyphs.js";
-import { endState } from "./image_model.js";
+import { endState } from "./image/image_model.js";
 
 /** @typedef {import("./panel.js").Context} Context */
-/** @typedef {import("./image_model.js").EndState} EndState */
-/** @typedef {import("./image_model.js").ImageModel} ImageModel */
+/** @typedef {import("./image/image_model.js").EndState} EndState */
+/** @typedef {import("./image/image_model.js").ImageModel} ImageModel */
 
 const WIDTH = 268;
 const ROW = 18;
