@@ -28,7 +28,7 @@ from semviz.annotator.tracks.track_rows import TrackFrame, TrackRow
 from semviz.annotator.views import FrameSummary, LabelsView, label_element_name
 from semviz.web import protocol
 from semviz.web.protocol import RefusedError
-from semviz.workspace.backdrop import find_backdrop
+from semviz.workspace.maps.backdrop import find_backdrop
 from semviz_annotation.storage.label_file import Health, LabelFileError
 from semviz_annotation.storage.operations import ConflictError, ReplacedLogError
 

@@ -12,7 +12,7 @@ from semviz.annotator.panes import Pane, Panes
 from semviz.annotator.proposals.detector_proposals import Disagreement
 from semviz.web.protocol import ImageSize, Part
 from semviz.workspace.blind import BlindWorkspace
-from semviz.workspace.map_decisions import asked_by_frame, decisions_path
+from semviz.workspace.maps.map_decisions import asked_by_frame, decisions_path
 from semviz.workspace.people import Role
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import (

@@ -20,7 +20,7 @@ from semviz.runs.images import project_elements
 from semviz.runs.run import FrameRecord, Run
 from semviz.web.protocol import RefusedError, handles
 from semviz.what_if.solve import describe_sweep, free_path
-from semviz.workspace.rebuild import rebuild_run
+from semviz.workspace.localization.rebuild import rebuild_run
 from semviz.workspace.settings import login_name
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.edits import AddElements, AnyEdit, DecideElements, Link, NewElement

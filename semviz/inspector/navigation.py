@@ -13,7 +13,7 @@ from semviz.inspector.state import State
 from semviz.inspector.views import MapColorsEvent, ViewpointEvent
 from semviz.web.protocol import BackdropEvent, SetBackdropRequest, SetThemeRequest, handles
 from semviz.web.viewpoint import Viewpoint
-from semviz.workspace.backdrop import FoundBackdrop, find_backdrop
+from semviz.workspace.maps.backdrop import FoundBackdrop, find_backdrop
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 

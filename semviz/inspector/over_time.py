@@ -26,7 +26,7 @@ from semviz.inspector.views_over_time import (
     StandingElement,
 )
 from semviz.runs.run import Run
-from semviz.workspace.passes import check_drive, date_of, in_time, pass_of
+from semviz.workspace.maps.passes import check_drive, date_of, in_time, pass_of
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.mapping.passes.changes import Change, MapChanges, find_changes

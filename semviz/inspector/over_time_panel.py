@@ -24,7 +24,7 @@ from semviz.inspector.views_over_time import (
 )
 from semviz.inspector.views_run import LabelPageEvent
 from semviz.web.protocol import RefusedError, handles
-from semviz.workspace.map_decisions import (
+from semviz.workspace.maps.map_decisions import (
     Answer,
     ChangeDecisions,
     DecisionConflictError,

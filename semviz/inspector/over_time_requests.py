@@ -3,7 +3,7 @@
 from typing import Literal
 
 from semviz.web.protocol import Request
-from semviz.workspace.map_decisions import Answer
+from semviz.workspace.maps.map_decisions import Answer
 
 
 class GetOverTimeRequest(Request):

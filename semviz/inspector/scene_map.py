@@ -18,7 +18,7 @@ from semviz.web import shapes
 from semviz.web.scene import CAMERA_HEIGHT_M, ElementStyle, SceneDrawer, class_rows, elements_ends
 from semviz.web.shapes import PALETTES, Theme, mix
 from semviz.web.viewpoint import Pickable, Picker
-from semviz.workspace.localizability import AMBIGUOUS_SHARE
+from semviz.workspace.localization.localizability import AMBIGUOUS_SHARE
 from semviz_core.base.classes import ClassSet
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import SemanticMap

@@ -5,7 +5,7 @@ from typing import Literal
 from semviz.inspector.views import Pixel
 from semviz.inspector.views_run import EvidenceLine
 from semviz.web.protocol import Event, Part
-from semviz.workspace.map_decisions import Answer
+from semviz.workspace.maps.map_decisions import Answer
 from semviz_annotation.mapping.passes.changes import ChangeKind
 
 

@@ -13,7 +13,7 @@ from turned_drive import TURNED, drive, labels, measured_town, wrong_poses
 
 from semviz.annotator.drive import pose_views
 from semviz.reports.pose_check import check_text
-from semviz.workspace.pose_review import check_poses, known_check, motions_path
+from semviz.workspace.poses.pose_review import check_poses, known_check, motions_path
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.frame import Frame
 from semviz_core.pose_checks.faults import PoseCheck
@@ -150,7 +150,7 @@ def test_the_address_leads_to_the_view_whose_keys_draw_nothing(
 def test_a_choice_made_elsewhere_is_used_at_once(
     poses: LabelDriver, served: Served, workspace: Workspace
 ) -> None:
-    from semviz.workspace.pose_review import PoseReview, choose_poses
+    from semviz.workspace.poses.pose_review import PoseReview, choose_poses
 
     check = check_poses(workspace, workspace.given_source.frames, lambda what, done, of: None)
     review = PoseReview.of(workspace, check, workspace.read_labels())

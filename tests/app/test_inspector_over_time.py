@@ -21,7 +21,7 @@ from semviz.inspector.over_time import OverTime, PassSearch, over_time_event
 from semviz.inspector.server import Inspector
 from semviz.runs.reader import load_run
 from semviz.web.gateway import Gateway
-from semviz.workspace.map_decisions import (
+from semviz.workspace.maps.map_decisions import (
     DecisionConflictError,
     LabelPlace,
     asked_by_frame,

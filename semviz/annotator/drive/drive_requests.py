@@ -24,7 +24,7 @@ from semviz.annotator.session import LabelSession
 from semviz.reports.pose_check import choice_text
 from semviz.web import protocol
 from semviz.web.protocol import RefusedError
-from semviz.workspace.pose_review import choose_poses, step_choices
+from semviz.workspace.poses.pose_review import choose_poses, step_choices
 from semviz_core.common.errors import SemvizError
 
 

@@ -7,20 +7,20 @@ import numpy as np
 
 from semviz.web import protocol
 from semviz.web.protocol import Part
-from semviz.workspace.drive_check_file import (
+from semviz.workspace.drive.drive_check_file import (
     CHECKS,
     DriveCheck,
     DriveChecks,
     StepErrors,
     read_checks,
 )
-from semviz.workspace.pose_review import known_check
+from semviz.workspace.poses.pose_review import known_check
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.camera import Camera
 from semviz_core.base.frame import Dataset, Frame
 from semviz_core.common.arrays import ByteImage, FloatArray
-from semviz_core.datasets.own_drive import match_checks
-from semviz_core.datasets.own_drive.line_checks import bent_edges
+from semviz_core.datasets.own_drive.checks import match_checks
+from semviz_core.datasets.own_drive.checks.line_checks import bent_edges
 from semviz_core.datasets.rig_cameras import camera_names, cameras_by_frame, frames_of_camera
 
 MOST_MATCHES = 400

@@ -6,9 +6,9 @@ from typing import TypeAlias
 import numpy as np
 
 from semviz.web.protocol import Part
-from semviz.workspace.pose_choices import Choice, Subject
-from semviz.workspace.pose_labels import FrameAgreement
-from semviz.workspace.pose_review import PoseReview, PoseStretch
+from semviz.workspace.poses.pose_choices import Choice, Subject
+from semviz.workspace.poses.pose_labels import FrameAgreement
+from semviz.workspace.poses.pose_review import PoseReview, PoseStretch
 from semviz_core.pose_checks.faults import PoseFault
 
 TURNS = (("down", "up"), ("left", "right"), ("counterclockwise", "clockwise"))

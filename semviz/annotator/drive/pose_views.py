@@ -17,9 +17,9 @@ from semviz.annotator.drive.pose_stretches import TURNS, StretchView, stretch_vi
 from semviz.reports.pose_check import unchecked_text
 from semviz.web import protocol
 from semviz.web.protocol import Part
-from semviz.workspace.pose_choices import Choice, Subject
-from semviz.workspace.pose_labels import FrameAgreement
-from semviz.workspace.pose_review import (
+from semviz.workspace.poses.pose_choices import Choice, Subject
+from semviz.workspace.poses.pose_labels import FrameAgreement
+from semviz.workspace.poses.pose_review import (
     PoseFindings,
     PoseReview,
     PoseStretch,

@@ -15,7 +15,7 @@ from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.progress import OnProgress, unwatched
-from semviz_core.datasets.own_drive.conventions import map_on_earth
+from semviz_core.datasets.own_drive.poses.conventions import map_on_earth
 
 _STILL_M = 0.001
 _TOO_LARGE = 1.25

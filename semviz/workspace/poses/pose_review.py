@@ -15,9 +15,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from semviz.workspace import pose_labels
 from semviz.workspace.checked_file import changing, write_checked
-from semviz.workspace.pose_choices import (
+from semviz.workspace.poses import pose_labels
+from semviz.workspace.poses.pose_choices import (
     Choice,
     PoseChoices,
     PoseOperation,

@@ -16,12 +16,12 @@ import numpy as np
 
 from semviz.runs.run import FrameRecord, Run, RunInfo, assumed_detector, observations_of
 from semviz.runs.writer import write_run
-from semviz.workspace import localize
-from semviz.workspace.localizability import options_of
+from semviz.workspace.drive.rig_views import OdometrySource
+from semviz.workspace.localization import localize
+from semviz.workspace.localization.localizability import options_of
+from semviz.workspace.localization.simulated_measurements import simulated_odometry
 from semviz.workspace.observations import Observe, observe_labels, read_detections
-from semviz.workspace.pose_review import pose_errors, with_used_poses
-from semviz.workspace.rig_views import OdometrySource
-from semviz.workspace.simulated_measurements import simulated_odometry
+from semviz.workspace.poses.pose_review import pose_errors, with_used_poses
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.mapping.build import rebuild_map, uses_detections
 from semviz_core.base.elements import Elements2D

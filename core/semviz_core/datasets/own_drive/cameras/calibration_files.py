@@ -28,7 +28,7 @@ import numpy as np
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import read_toml, shown
-from semviz_core.datasets.own_drive.calibration import (
+from semviz_core.datasets.own_drive.cameras.calibration import (
     CalibrationFile,
     camera_of_numbers,
     focal_and_center,
@@ -37,9 +37,13 @@ from semviz_core.datasets.own_drive.calibration import (
     pose_of_numbers,
     unknown_model,
 )
-from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera
-from semviz_core.datasets.own_drive.named_calibrations import Size, listed_camera, named_camera
-from semviz_core.datasets.own_drive.yaml_files import numbers_of, read_yaml
+from semviz_core.datasets.own_drive.cameras.lens import LensModel, OriginalCamera
+from semviz_core.datasets.own_drive.cameras.named_calibrations import (
+    Size,
+    listed_camera,
+    named_camera,
+)
+from semviz_core.datasets.own_drive.cameras.yaml_files import numbers_of, read_yaml
 from semviz_core.datasets.trajectory import read_text
 
 

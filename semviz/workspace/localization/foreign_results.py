@@ -10,7 +10,7 @@ import numpy as np
 from semviz.presentation.terminal import track
 from semviz.runs.recorder import MatchedPose, RunRecorder
 from semviz.workspace.chosen_frames import check_map_frame
-from semviz.workspace.measurements import Measurements
+from semviz.workspace.localization.measurements import Measurements
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.classes import ClassSet
 from semviz_core.base.elements import Elements2D

@@ -18,8 +18,8 @@ from semviz_core.common import limits
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
-from semviz_core.datasets.own_drive.color_orders import ColorOrder, demosaiced
-from semviz_core.datasets.own_drive.rectification import Rectification, RectifiedRig
+from semviz_core.datasets.own_drive.images.color_orders import ColorOrder, demosaiced
+from semviz_core.datasets.own_drive.images.rectification import Rectification, RectifiedRig
 
 _PNG_LEVEL = 1
 """Larger levels take several times as long, for a tenth less space."""

@@ -24,14 +24,14 @@ from semviz_core.base.semantic_map import MapFrame
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import csv_text, replacing
 from semviz_core.common.limits import MOST_TEXT_BYTES, first_line, read_limited, shown
-from semviz_core.datasets.own_drive.color_orders import ColorOrder
-from semviz_core.datasets.own_drive.conventions import geodetic, is_earth_centred
-from semviz_core.datasets.own_drive.image_folder import ImageFolder
-from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera, OriginalRig
-from semviz_core.datasets.own_drive.rectification import rectify_cameras, rectify_rig
+from semviz_core.datasets.own_drive.cameras.lens import LensModel, OriginalCamera, OriginalRig
+from semviz_core.datasets.own_drive.images.color_orders import ColorOrder
+from semviz_core.datasets.own_drive.images.image_folder import ImageFolder
+from semviz_core.datasets.own_drive.images.rectification import rectify_cameras, rectify_rig
+from semviz_core.datasets.own_drive.poses.conventions import geodetic, is_earth_centred
 
 if TYPE_CHECKING:
-    from semviz_core.datasets.own_drive.image_files import LeftOutImage
+    from semviz_core.datasets.own_drive.images.image_files import LeftOutImage
     from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
 
 DRIVE_FILE = "drive.json"

@@ -16,27 +16,27 @@ from semviz_core.base.pose import Pose, nearest_rotation
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import MOST_TEXT_BYTES, first_line, parsed_json, read_limited, shown
-from semviz_core.datasets.own_drive import conventions
-from semviz_core.datasets.own_drive.calibration import CalibrationFile
-from semviz_core.datasets.own_drive.calibration_files import (
+from semviz_core.datasets.own_drive.cameras.calibration import CalibrationFile
+from semviz_core.datasets.own_drive.cameras.calibration_files import (
     read_calibration,
     read_rig_calibration,
 )
-from semviz_core.datasets.own_drive.colmap_model import (
+from semviz_core.datasets.own_drive.cameras.colmap_model import (
     is_colmap,
     is_colmap_camera,
     read_colmap,
     read_colmap_camera,
 )
-from semviz_core.datasets.own_drive.conventions import PosedCameras, RecordedPoses
-from semviz_core.datasets.own_drive.image_files import (
+from semviz_core.datasets.own_drive.cameras.lens import LensModel, OriginalCamera, OriginalRig
+from semviz_core.datasets.own_drive.images.image_files import (
     LeftOutImage,
     UnusableImages,
     refuse_turned_or_dark,
     size_of_images,
     unusable_images,
 )
-from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera, OriginalRig
+from semviz_core.datasets.own_drive.poses import conventions
+from semviz_core.datasets.own_drive.poses.conventions import PosedCameras, RecordedPoses
 from semviz_core.datasets.own_drive.recording import DriveFiles, Recording, rows_of_names
 
 _BROWN_NAMES, _FISHEYE_NAMES = ("k1", "k2", "p1", "p2", "k3"), ("k1", "k2", "k3", "k4")

@@ -15,15 +15,20 @@ from semviz_core.base.pose import Pose, nearest_rotation
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
-from semviz_core.datasets.own_drive.conventions import (
+from semviz_core.datasets.own_drive.images.image_files import (
+    SUFFIXES,
+    TimeUnit,
+    in_seconds,
+    is_number,
+)
+from semviz_core.datasets.own_drive.poses.conventions import (
     QuaternionOrder,
     RecordedPoses,
     matrices_of,
     pose_in,
 )
-from semviz_core.datasets.own_drive.image_files import SUFFIXES, TimeUnit, in_seconds, is_number
-from semviz_core.datasets.own_drive.pose_tables import poses_of_columns
-from semviz_core.datasets.own_drive.sensor_table import read_table
+from semviz_core.datasets.own_drive.poses.pose_tables import poses_of_columns
+from semviz_core.datasets.own_drive.poses.sensor_table import read_table
 from semviz_core.datasets.trajectory import MOST_LINES, read_text
 
 _HEAD = 1000

@@ -18,18 +18,18 @@ from semviz_core.base.frame import Dataset
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import BoolArray, FloatArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.conventions import (
+from semviz_core.datasets.own_drive.checks.match_checks import (
+    PAIRS,
+    depths_by_motion,
+    matched_pixels,
+    off_epipolar_lines,
+)
+from semviz_core.datasets.own_drive.poses.conventions import (
     NAMED_EXTRINSICS,
     CameraAxes,
     Direction,
     PoseConventions,
     QuaternionOrder,
-)
-from semviz_core.datasets.own_drive.match_checks import (
-    PAIRS,
-    depths_by_motion,
-    matched_pixels,
-    off_epipolar_lines,
 )
 
 LEAST_POSE_MATCHES = 60

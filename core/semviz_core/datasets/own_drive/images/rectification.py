@@ -20,7 +20,7 @@ from semviz_core.base.pose import Pose, angle_between
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import check_pixels
-from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
+from semviz_core.datasets.own_drive.cameras.lens import OriginalCamera, OriginalRig
 
 _MOST_BASELINE_M = 20.0
 MOST_VIEW_DEG = 110.0

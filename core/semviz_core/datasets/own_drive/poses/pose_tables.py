@@ -14,14 +14,14 @@ import numpy as np
 
 from semviz_core.common.arrays import BoolArray, FloatArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.conventions import (
+from semviz_core.datasets.own_drive.poses.conventions import (
     QuaternionOrder,
     RecordedPoses,
     body_axes,
     local_poses,
     matrices_of,
 )
-from semviz_core.datasets.own_drive.sensor_table import SensorTable, is_in_radians, row_name
+from semviz_core.datasets.own_drive.poses.sensor_table import SensorTable, is_in_radians, row_name
 
 _LEAST_STEP_M, _LEAST_STEPS = 0.5, 5
 """Steps of a table that tell the direction of travel, and how many are needed."""

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from semviz.workspace.drive_check_file import DriveCheck, StepErrors, words_of
+from semviz.workspace.drive.drive_check_file import DriveCheck, StepErrors, words_of
 from semviz_core.base.camera import Rig
 from semviz_core.pose_checks.comparison import BASELINE, RIGHT_U, DrivePoses
 from semviz_core.pose_checks.faults import (

@@ -12,16 +12,21 @@ import numpy as np
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
-from semviz_core.datasets.own_drive import conventions
 from semviz_core.datasets.own_drive.adapters.data_sets import (
     is_comma,
     read_comma_poses,
     read_recording,
 )
-from semviz_core.datasets.own_drive.calibration import CalibrationFile
-from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
-from semviz_core.datasets.own_drive.conventions import PosedCameras, RecordedPoses
-from semviz_core.datasets.own_drive.image_files import (
+from semviz_core.datasets.own_drive.cameras.calibration import CalibrationFile
+from semviz_core.datasets.own_drive.cameras.colmap_model import is_colmap, read_colmap
+from semviz_core.datasets.own_drive.cameras.lens import OriginalCamera, OriginalRig
+from semviz_core.datasets.own_drive.cameras.recorded_cameras import (
+    is_nerfstudio,
+    read_cameras,
+    read_nerfstudio,
+    rows_of_images,
+)
+from semviz_core.datasets.own_drive.images.image_files import (
     ImageNames,
     ImageTimes,
     LeftOutImage,
@@ -29,14 +34,9 @@ from semviz_core.datasets.own_drive.image_files import (
     read_times,
     times_from_names,
 )
-from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
-from semviz_core.datasets.own_drive.pose_files import read_pose_folder, read_poses
-from semviz_core.datasets.own_drive.recorded_cameras import (
-    is_nerfstudio,
-    read_cameras,
-    read_nerfstudio,
-    rows_of_images,
-)
+from semviz_core.datasets.own_drive.poses import conventions
+from semviz_core.datasets.own_drive.poses.conventions import PosedCameras, RecordedPoses
+from semviz_core.datasets.own_drive.poses.pose_files import read_pose_folder, read_poses
 from semviz_core.datasets.own_drive.recording import (
     DriveFiles,
     Recording,

@@ -15,15 +15,15 @@ import numpy as np
 
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.calibration import (
+from semviz_core.datasets.own_drive.cameras.calibration import (
     CalibrationFile,
     camera_of_numbers,
     focal_and_center,
     lens_model,
 )
-from semviz_core.datasets.own_drive.image_files import is_number
-from semviz_core.datasets.own_drive.lens import LensModel
-from semviz_core.datasets.own_drive.yaml_files import numbers_of
+from semviz_core.datasets.own_drive.cameras.lens import LensModel
+from semviz_core.datasets.own_drive.cameras.yaml_files import numbers_of
+from semviz_core.datasets.own_drive.images.image_files import is_number
 from semviz_core.datasets.trajectory import read_text
 
 Size: TypeAlias = tuple[int, int]

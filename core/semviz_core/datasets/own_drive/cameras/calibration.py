@@ -14,8 +14,8 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
-from semviz_core.datasets.own_drive.lens import COEFFICIENTS, LensModel, OriginalCamera
-from semviz_core.datasets.own_drive.yaml_files import numbers_of
+from semviz_core.datasets.own_drive.cameras.lens import COEFFICIENTS, LensModel, OriginalCamera
+from semviz_core.datasets.own_drive.cameras.yaml_files import numbers_of
 
 _MODELS: dict[str, LensModel] = {
     "pinhole": "pinhole",

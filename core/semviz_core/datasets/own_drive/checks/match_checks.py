@@ -17,9 +17,9 @@ from semviz_core.base.frame import Dataset
 from semviz_core.base.pose import Pose, skew, so3_exp
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.lens import OriginalRig
+from semviz_core.datasets.own_drive.cameras.lens import OriginalRig
+from semviz_core.datasets.own_drive.images.rectification import rectify_rig
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
-from semviz_core.datasets.own_drive.rectification import rectify_rig
 
 REFINED_PAIRS = 20
 LEAST_MATCHES = 200

@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from semviz.workspace.rig_views import OdometrySource
+from semviz.workspace.drive.rig_views import OdometrySource
 from semviz_core.base.frame import Frame, Odometry, OdometryNoise, Prior
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.priors import PriorOptions, simulate_prior
 
 if TYPE_CHECKING:
-    from semviz.workspace.localize import LocalizeOptions
+    from semviz.workspace.localization.localize import LocalizeOptions
 
 ODOMETRY_NOISE = OdometryNoise()
 _ODOMETRY_SEED = 2  # 0 and 1 seed the prior and the detector

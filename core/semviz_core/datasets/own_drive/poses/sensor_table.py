@@ -14,8 +14,8 @@ import numpy as np
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown, table_rows
-from semviz_core.datasets.own_drive.image_files import TimeUnit, in_seconds, is_number
-from semviz_core.datasets.own_drive.json_table import json_cells
+from semviz_core.datasets.own_drive.images.image_files import TimeUnit, in_seconds, is_number
+from semviz_core.datasets.own_drive.poses.json_table import json_cells
 from semviz_core.datasets.trajectory import read_text
 
 _COLUMNS = {

@@ -34,11 +34,11 @@ from semviz.runs.writer import write_run
 from semviz.workspace import observations
 from semviz.workspace.chosen_frames import check_map_frame, posed_frames, select_frames
 from semviz.workspace.detect import MODEL_FILE
-from semviz.workspace.frame_processes import localized_in_processes
-from semviz.workspace.measurements import Measurements
-from semviz.workspace.rig_views import OdometrySource, RigViews, rig_views
-from semviz.workspace.sequence_tracker import SequenceTracker
-from semviz.workspace.simulated_measurements import (
+from semviz.workspace.drive.rig_views import OdometrySource, RigViews, rig_views
+from semviz.workspace.localization.frame_processes import localized_in_processes
+from semviz.workspace.localization.measurements import Measurements
+from semviz.workspace.localization.sequence_tracker import SequenceTracker
+from semviz.workspace.localization.simulated_measurements import (
     PriorSource,
     simulated_odometry,
     simulated_prior,

@@ -14,9 +14,13 @@ import numpy as np
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import read_limited, shown
-from semviz_core.datasets.own_drive.calibration import CalibrationFile
-from semviz_core.datasets.own_drive.conventions import PosedCameras, RecordedPoses, matrices_of
-from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera
+from semviz_core.datasets.own_drive.cameras.calibration import CalibrationFile
+from semviz_core.datasets.own_drive.cameras.lens import LensModel, OriginalCamera
+from semviz_core.datasets.own_drive.poses.conventions import (
+    PosedCameras,
+    RecordedPoses,
+    matrices_of,
+)
 from semviz_core.datasets.trajectory import MOST_LINES
 
 _MODEL_NAMES = (  # in the order of COLMAP's numbers

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from semviz.workspace.drive_file import DRIVE_FILE, read_drive_file
+from semviz.workspace.drive.drive_file import DRIVE_FILE, read_drive_file
 from semviz.workspace.settings import ImagesSettings
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.map_formats.georeference import Georeference
@@ -22,7 +22,11 @@ from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets import measured_priors
 from semviz_core.datasets.measured_poses import Surroundings
-from semviz_core.datasets.own_drive.conventions import NAMED_EXTRINSICS, map_on_earth, read_matrix
+from semviz_core.datasets.own_drive.poses.conventions import (
+    NAMED_EXTRINSICS,
+    map_on_earth,
+    read_matrix,
+)
 
 Coordinates = Literal["recorded", "map"]
 FAR_M = 2000.0

@@ -18,10 +18,10 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
-from semviz_core.datasets.own_drive.calibration import CalibrationFile
-from semviz_core.datasets.own_drive.calibration_files import read_calibration
-from semviz_core.datasets.own_drive.image_files import TimeUnit
-from semviz_core.datasets.own_drive.lens import OriginalCamera
+from semviz_core.datasets.own_drive.cameras.calibration import CalibrationFile
+from semviz_core.datasets.own_drive.cameras.calibration_files import read_calibration
+from semviz_core.datasets.own_drive.cameras.lens import OriginalCamera
+from semviz_core.datasets.own_drive.images.image_files import TimeUnit
 from semviz_core.datasets.trajectory import T_MAP_WORLD, parsed_numbers, read_text
 
 if TYPE_CHECKING:

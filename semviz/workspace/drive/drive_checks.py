@@ -8,13 +8,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from semviz.workspace.drive_check_file import DriveCheck, words_of
-from semviz.workspace.motion_checks import motion_checks, turned_check
+from semviz.workspace.drive.drive_check_file import DriveCheck, words_of
+from semviz.workspace.drive.motion_checks import motion_checks, turned_check
 from semviz_core.base.frame import Dataset, Frame
 from semviz_core.common.limits import read_image
-from semviz_core.datasets.own_drive import color_checks, line_checks, match_checks, pose_remedies
-from semviz_core.datasets.own_drive.color_orders import EXCHANGED, ColorOrder, mosaic_of
-from semviz_core.datasets.own_drive.image_folder import ImageFolder
+from semviz_core.datasets.own_drive.checks import (
+    color_checks,
+    line_checks,
+    match_checks,
+    pose_remedies,
+)
+from semviz_core.datasets.own_drive.images.color_orders import EXCHANGED, ColorOrder, mosaic_of
+from semviz_core.datasets.own_drive.images.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
 from semviz_core.datasets.rig_cameras import DatasetWithFrames, frames_by_camera
 from semviz_core.pose_checks.comparison import RIGHT_U, DrivePoses, rotation_vectors

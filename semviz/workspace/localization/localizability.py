@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from semviz.runs.run import Observations, detector_model
-from semviz.workspace.localize import LocalizeOptions
-from semviz.workspace.simulated_measurements import prior_options
+from semviz.workspace.localization.localize import LocalizeOptions
+from semviz.workspace.localization.simulated_measurements import prior_options
 from semviz_core.base.camera import Camera
 from semviz_core.base.classes import ClassSet
 from semviz_core.base.detector_model import NOISE, SHIPPED_NOISE, DetectorModel, Noise, NoiseName
