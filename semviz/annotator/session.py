@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 
-from semviz.annotator import messages, operation_texts, views
+from semviz.annotator import messages, views
 from semviz.annotator.drawing import draft
 from semviz.annotator.drawing.accepted_marks import accepted, unlabelled
 from semviz.annotator.drawing.association import (
@@ -344,17 +344,7 @@ class LabelSession:
         return addition, association.note
 
     def _saved(self, operation: Operation) -> SavedEdit:
-        rows = [change.after for change in operation.changes]
-        element_ids = [row.element_id for row in rows if isinstance(row, Observation)]
-        has_element = element_ids and operation.kind in ("add", "link", "unlink")
-        frame = operation_texts.frame_of(operation, self.labels)
-        return SavedEdit(
-            operation=operation,
-            element_id=element_ids[0] if has_element else None,
-            frame=frame if frame in self.frames else None,
-            added=operation_texts.observations_added(operation),
-            note=operation_texts.note_on(operation, self.labels),
-        )
+        return SavedEdit.of(operation, self.labels, self.frames)
 
     # -- drafts
 
