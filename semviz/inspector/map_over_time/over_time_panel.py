@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 from aiohttp import web
 
-from semviz.inspector import over_time_requests
 from semviz.inspector.context import Panel, RunLibrary
 from semviz.inspector.element_card import workspaces_near
-from semviz.inspector.over_time import (
+from semviz.inspector.map_over_time import over_time_requests
+from semviz.inspector.map_over_time.over_time import (
     OverTime,
     PassSearch,
     over_time_event,
@@ -17,7 +17,7 @@ from semviz.inspector.over_time import (
     search_of_run,
     shots_of,
 )
-from semviz.inspector.views_over_time import (
+from semviz.inspector.map_over_time.views_over_time import (
     ChangeAnswer,
     ChangeAnswersEvent,
     ChangedMapEvent,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from semviz.inspector import scene_cameras, scene_map
+from semviz.inspector.scene import scene_cameras, scene_map
 from semviz.inspector.state import State, View
 from semviz.inspector.views import MapLegend
 from semviz.runs.run import FrameRecord, Run

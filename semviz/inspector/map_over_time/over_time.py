@@ -6,16 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from semviz.inspector.change_texts import (
+from semviz.inspector.context import Background, PageContext, RunLibrary
+from semviz.inspector.element_card import workspaces_near
+from semviz.inspector.map_over_time.change_texts import (
     change_facts,
     change_sentence,
     change_title,
     near_rows,
 )
-from semviz.inspector.context import Background, PageContext, RunLibrary
-from semviz.inspector.element_card import workspaces_near
-from semviz.inspector.views import Pixel
-from semviz.inspector.views_over_time import (
+from semviz.inspector.map_over_time.views_over_time import (
     LeftOutRun,
     OverTimeChange,
     OverTimeEvent,
@@ -25,6 +24,7 @@ from semviz.inspector.views_over_time import (
     PassView,
     StandingElement,
 )
+from semviz.inspector.views import Pixel
 from semviz.runs.run import Run
 from semviz.workspace.maps.passes import check_drive, date_of, in_time, pass_of
 from semviz.workspace.workspace import Workspace
