@@ -5,7 +5,7 @@ import { fixed } from "/static/dom.js";
 import { ON_IMAGE, drawArrow, drawGlyph, drawFalse, drawHandle, drawLine, drawMissed, residualColor, traceRing } from "/static/glyphs.js";
 import { endState, middle, placeOf } from "./image_model.js";
 import { Labels } from "../labels.js";
-import { drawLegend } from "../legend.js";
+import { drawLegend } from "./legend.js";
 
 /** @typedef {import("/static/protocol").inspector.ImageSize} ImageSize */
 /** @typedef {import("/static/protocol").inspector.MappedElement} MappedElement */

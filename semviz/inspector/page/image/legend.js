@@ -2,11 +2,11 @@
 /* The legend on the image: lines, marks, residual colours and lengths. */
 
 import { ON_IMAGE, RESIDUAL_LIMITS_PX, drawArrow, drawFalse, drawHandle, drawMissed } from "/static/glyphs.js";
-import { endState } from "./image/image_model.js";
+import { endState } from "./image_model.js";
 
-/** @typedef {import("./panel.js").Context} Context */
-/** @typedef {import("./image/image_model.js").EndState} EndState */
-/** @typedef {import("./image/image_model.js").ImageModel} ImageModel */
+/** @typedef {import("../panel.js").Context} Context */
+/** @typedef {import("./image_model.js").EndState} EndState */
+/** @typedef {import("./image_model.js").ImageModel} ImageModel */
 
 const WIDTH = 268;
 const ROW = 18;
@@ -18,6 +18,36 @@ const TITLES = {
   pairs: "pairs, true length",
   error: "error, true length",
 };
+
+const MARK = 20; // from the left of a mark to its text
+const GAP = 12;
+const TEXT = 11; // CSS pixels
+const fontOf = (/** @type {number} */ size) => `${size}px Inter, "Liberation Sans", Arial, sans-serif`;
+
+/** @typedef {{text: string, isShown: (model: ImageModel, ends: Set<EndState>) => boolean, draw: (context: Context, x: number, y: number) => void}} Mark */
+/** @type {Mark[]} */
+const MARKS = [
+  {
+    text: "end hidden",
+    isShown: (_, ends) => ends.has("hidden"),
+    draw: (context, x, y) => drawHandle(context, "bottom", x + 8, y, DETECTION_COLOR, false),
+  },
+  {
+    text: "cut by the border",
+    isShown: (_, ends) => ends.has("cut"),
+    draw: (context, x, y) => drawArrow(context, [x, y], [x + 13, y], DETECTION_COLOR, 2),
+  },
+  {
+    text: "missed or occluded",
+    isShown: ({ missedDetections }) => missedDetections.length > 0,
+    draw: (context, x, y) => drawMissed(context, [x + 5, y], [x + 9, y], 5),
+  },
+  {
+    text: "false positive",
+    isShown: ({ falsePositives }) => falsePositives.length > 0,
+    draw: (context, x, y) => drawFalse(context, x + 8, y, 4),
+  },
+];
 
 /** `scale` is the size of an image pixel in CSS pixels. A small image has room for lengths and
  * colours only.
@@ -32,17 +62,15 @@ export function drawLegend(context, height, model, scale) {
     drawSmall(context, height, model);
     return;
   }
-  const marks = unknownEnds(model);
-  const failed = model.missedDetections.length + model.falsePositives.length > 0;
-  const total = 44 + (marks.size ? ROW : 0) + (failed ? ROW : 0);
+  const marks = marksIn(model);
+  const total = 44 + (marks.length ? ROW : 0);
   const [x, y] = [8, height - total - 8];
-  drawGround(context, x, y, WIDTH, total);
+  drawGround(context, x, y, Math.max(WIDTH, rowWidth(context, marks)), total);
   write(context, TITLES[model.mode], x + 8, y + 12);
   drawBar(context, x + 124, y + 12, model.magnification * scale);
   drawScale(context, x + 8, y + 22);
   drawKey(context, x + 132, y + 30, model);
   drawMarks(context, x + 8, y + 52, marks);
-  if (failed) drawFailures(context, x + 8, y + total - 10, model);
 }
 
 /**
@@ -79,8 +107,8 @@ function drawGround(context, x, y, width, height) {
  * @param {number} [size]
  * @param {CanvasTextAlign} [align]
  */
-function write(context, text, left, top, size = 11, align = "left") {
-  context.font = `${size}px Inter, "Liberation Sans", Arial, sans-serif`;
+function write(context, text, left, top, size = TEXT, align = "left") {
+  context.font = fontOf(size);
   context.fillStyle = "#E6E7E9";
   context.textAlign = align;
   context.textBaseline = "middle";
@@ -139,42 +167,37 @@ function drawKey(context, x, y, model) {
   }
 }
 
-/** The marks of unknown ends of poles.
+/** The marks that the image shows beside lines: of unknown ends, missed detections, false positives.
  *
+ * @param {ImageModel} model
+ */
+function marksIn(model) {
+  const ends = unknownEnds(model);
+  return MARKS.filter(({ isShown }) => isShown(model, ends));
+}
+
+/**
+ * @param {Context} context
+ * @param {Mark[]} marks
+ */
+function rowWidth(context, marks) {
+  context.font = fontOf(TEXT);
+  return marks.reduce((width, { text }) => width + MARK + context.measureText(text).width + GAP, 8);
+}
+
+/**
  * @param {Context} context
  * @param {number} x
  * @param {number} y
- * @param {Set<EndState>} marks
+ * @param {Mark[]} marks
  */
 function drawMarks(context, x, y, marks) {
   let left = x;
-  if (marks.has("hidden")) {
-    drawHandle(context, "bottom", left + 5, y, DETECTION_COLOR, false);
-    write(context, "end hidden", left + 15, y);
-    left += 90;
+  for (const { draw, text } of marks) {
+    draw(context, left, y);
+    write(context, text, left + MARK, y);
+    left += MARK + context.measureText(text).width + GAP;
   }
-  if (!marks.has("cut")) return;
-  drawArrow(context, [left, y], [left + 13, y], DETECTION_COLOR, 2);
-  write(context, "cut by the border", left + 20, y);
-}
-
-/** The marks of missed detections and false positives.
- *
- * @param {Context} context
- * @param {number} x
- * @param {number} y
- * @param {ImageModel} model
- */
-function drawFailures(context, x, y, { missedDetections, falsePositives }) {
-  let left = x;
-  if (missedDetections.length) {
-    drawMissed(context, [left + 5, y], [left + 9, y], 5);
-    write(context, "missed or occluded", left + 20, y);
-    left += 130;
-  }
-  if (!falsePositives.length) return;
-  drawFalse(context, left + 6, y, 4);
-  write(context, "false positive", left + 18, y);
 }
 
 /** @param {ImageModel} model */
