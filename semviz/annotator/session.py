@@ -10,7 +10,7 @@ from functools import lru_cache, partial
 
 from semviz.annotator import messages, views
 from semviz.annotator.drawing import draft
-from semviz.annotator.drawing.accepted_marks import accepted, unlabelled
+from semviz.annotator.drawing.accepted_marks import accepted, unlabelled, within_image
 from semviz.annotator.drawing.association import (
     DraftAssociation,
     LabelBelow,
@@ -281,7 +281,9 @@ class LabelSession:
         return replace(self._saved(write(addition)), note=note)
 
     def _accepted(self, marks: Iterable[messages.DrawnMark]) -> tuple[edits.AddObservation, ...]:
-        return accepted(marks, self.labels, lambda mark: self._addition(mark)[0])
+        return accepted(
+            marks, self.labels, lambda mark: within_image(self._addition(mark)[0], self.rig)
+        )
 
     def _merged(self, edit: messages.MergeFrameEdit) -> edits.MergeFrame:
         """Return the edit that takes labels of two people, with what is beside them."""

@@ -19,6 +19,7 @@ from semviz_annotation.assist import (
     Mark,
     MarkedImage,
     ReferenceView,
+    appearance,
     find_correspondence,
     propagate,
 )
@@ -284,6 +285,30 @@ def test_an_offset_of_the_first_drawing_does_not_grow_unseen(edges: bool) -> Non
         labelled.append((shot, found.mark))  # what is not sure, somebody looks at and takes
     assert (sure >= 3) is edges
     assert (error_px(labelled[-1][1], ahead[-1][1]) < 1.0) is edges
+
+
+def test_a_small_sign_of_unclear_outline_is_followed_and_not_the_board_behind_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The board's edge is 4 px beside the sign's middle, longer and of more contrast."""
+    monkeypatch.setattr(appearance, "find_outlines", lambda *_: [])
+    x, z = 1.0, 30.0
+    spot = [
+        (upright(x, z, 0.2 * k, -1.5 - 0.13 * k, -1.5 + 0.13 * k), (shade(k),) * 3)
+        for k in np.linspace(3.0, 0.1, 60)
+    ]
+    board = (upright(-2.9, 45.0, 8.0, -6.0, 3.0), (240, 240, 240))
+    wall = (upright(0.0, 60.0, 200.0, -60.0, 60.0), (150, 150, 150))
+    painted = [(in_map(corners), color) for corners, color in (wall, board, *spot)]
+    poses = [moved_by(0.0, 0.0), moved_by(0.5, 0.0), moved_by(0.0, 10.0)]
+    shots = [shot_of(RECTIFIED, pose, painted) for pose in poses]
+    sign = in_map(np.array([[x, -1.5, z]]))
+    marks = [Mark(tuple(shot.view.project(sign)[0].tolist())) for shot in shots]
+    element = mapped(shots[:2], [marks[0], moved(marks[1], (0.3, 0.0))])
+    sight = ReferenceView(shots[2], shots[0], marks[0])
+    (found,) = propagate([sight], element, DEFAULT_CLASSES[RECTANGULAR])
+    assert found is not None
+    assert error_px(found.mark, marks[2]) < 0.5
 
 
 def test_a_pole_labelled_by_half_is_offered_whole_in_a_nearer_frame_and_never_sure() -> None:

@@ -93,3 +93,19 @@ def test_an_end_that_one_image_shows_is_taken_for_the_other_unless_hidden_or_out
     assert whole_marks(images, hidden, WIDTHS_PX)[1] == hidden[1]
     beyond = halves([ends[0], ends[1] - [0.0, ends[1][:, 1].mean()]], 0)
     assert whole_marks(images, beyond, WIDTHS_PX)[1].anchor_px == beyond[1].anchor_px
+
+
+def test_a_faint_end_counts_where_both_ways_to_follow_a_pole_lead_to_it() -> None:
+    """A far pole in haze; the other image does not show its lower half."""
+    wall = (upright(0.0, 60.0, 120.0, -60.0, 60.0), (150, 170, 190))
+    pole = (upright(2.52, 42.0, 0.16, -1.6, 1.2), (135, 155, 175))
+    shot = shot_of(RECTIFIED, Pose.identity(), [wall, pole])
+    noise = np.random.default_rng(1).normal(0.0, 6.0, shot.image.shape)
+    noisy = np.clip(shot.image + noise, 0.0, 255.0).astype(np.uint8)
+    ends = shot.view.project(np.array([[2.52, -1.6, 42.0], [2.52, 1.2, 42.0]]))
+    hidden = noisy.copy()
+    hidden[int(ends[:, 1].mean()) + 1 :] = (150, 170, 190)
+    images = [replace(shot, image=pixels) for pixels in (noisy, hidden)]
+    found = whole_marks(images, halves([ends, ends], 1), [1.9, 1.9])
+    for mark in found:
+        assert np.abs(mark.ends_px - ends).max() < 2.0

@@ -381,6 +381,23 @@ def test_of_marks_accepted_together_what_others_labelled_meanwhile_is_left_out(
         do(session, accept(2))
 
 
+def test_a_pole_dragged_out_of_the_image_is_cut_off_and_all_else_is_accepted(
+    session: LabelSession,
+) -> None:
+    element_id = draw(session, pole(session, 0, "left"))
+    drawn = [pole(session, frame, "left", element_id) for frame in (1, 2)]
+    drawn[0]["anchor_px"] = [drawn[0]["end_px"][0], -9.0]
+    fields = drawn[0].keys() - {"kind", "selected_id"}
+    marks = [{name: mark[name] for name in fields} | {"class_id": None} for mark in drawn]
+    marks = [mark | {"element_id": element_id} for mark in marks]
+    assert do(session, {"kind": "accept", "marks": marks}).added == 2
+    cut = session.labels.find(element_id, 1, "left")
+    assert cut is not None
+    assert cut.anchor_px == pytest.approx((drawn[0]["end_px"][0], -0.5))
+    assert (cut.anchor_known, cut.end_known) == (False, True)
+    assert cut.end_px == pytest.approx(drawn[0]["end_px"])
+
+
 def test_labels_put_back_with_other_triangles_must_be_reopened(
     session: LabelSession, tmp_path: Path
 ) -> None:

@@ -26,6 +26,13 @@ test("a far sign is enlarged more than a near one, and lies in the middle", () =
   assert.deepEqual(inCrop(far, SIGN.anchor), [90, 50]);
 });
 
+test("a sign of 0.9 m is in its crop, and fills more than half of it", () => {
+  for (const depth of [20, 30, 50]) {
+    const share = ((0.6 * 1241 * 0.9) / depth) * cropOf(SIGN, depth, 1241, SIZE).zoom[1] / SIZE[1];
+    assert.ok(share > 0.6 && share < 0.9, `${share} at ${depth} m`);
+  }
+});
+
 test("a drag near an end of a pole moves that end, elsewhere all of it; by pixels of the image", () => {
   const crop = cropOf(POLE, 10, 1241, SIZE);
   const [top, bottom] = [inCrop(crop, POLE.anchor), inCrop(crop, POLE.end)];

@@ -95,10 +95,15 @@ def pole_width(image: MarkedImage, ends_px: FloatArray) -> float:
     return float(image.sizes[key][0])
 
 
+_UNCLEAR_HALF_PX = 4.0
+"""Half size of a sign whose outline is not clear. Most are small, and a larger patch would follow
+what is beside them."""
+
+
 def sign_half_size(
     image: MarkedImage, middle_px: FloatArray, element_class: ElementClass
 ) -> FloatArray:
-    """Return half of a marked sign's width and height (2,) px; 8 if its outline is not clear."""
+    """Return half of a marked sign's width and height (2,) px, also if its outline is unclear."""
     key = Mark(pixel(middle_px))
     if key not in image.sizes:
         outlines = find_outlines(image, middle_px, element_class.shape, 2)
@@ -108,7 +113,8 @@ def sign_half_size(
             for outline in outlines
             if np.linalg.norm(outline.middle_px(center) - middle_px) < 3.0
         ]
-        image.sizes[key] = np.clip(near[0].half_px if near else np.array([8.0, 8.0]), 3.0, 60.0)
+        half = near[0].half_px if near else np.full(2, _UNCLEAR_HALF_PX)
+        image.sizes[key] = np.clip(half, 3.0, 60.0)
     return image.sizes[key]
 
 

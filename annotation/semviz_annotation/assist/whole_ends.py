@@ -3,8 +3,9 @@
 A pole that was labelled by half is seen whole in nearer frames. Its rows are followed past the mark
 in two ways: along one line, with the colour of the whole mark; and piece by piece, with that of the
 rows before, since light and background change along a pole. An end counts if it is clear in one
-image, or if three of the four answers of two images agree. Where an image does not show it by
-itself, it is as far beyond the mark as in the other one.
+image, or if three of the four answers of two images agree. A bottom, which ends on the ground, is
+clear even if it is faint where both answers of an image agree. Where an image does not show an end
+by itself, it is as far beyond the mark as in the other one.
 """
 
 from collections.abc import Sequence
@@ -24,8 +25,11 @@ _LEAST_PX, _LEAST_SHARE = 8.0, 0.15
 """A pole goes on beyond an end by so much, and by this share of its length, or not at all."""
 _CLEAR_GAIN, _CLEAR_FALL = 15.0, -1.5
 """Log-odds of the rows beyond a clear end, and those of a row after the new end."""
-_VOTES, _AGREED_GAIN = 3, 8.0
-"""Answers that agree about an end, and the least log-odds of the rows beyond it in all images."""
+_AGREED_GAIN = 8.0
+"""Log-odds of the rows beyond an end about which answers agree: both about a bottom in an image, or
+enough in all images."""
+_VOTES = 3
+"""Answers of all images that agree about an end."""
 _SAME_PX, _SAME_SHARE = 3.0, 0.05
 """Answers agree up to this difference, or this share of what is beyond the mark."""
 
@@ -34,6 +38,7 @@ _SAME_PX, _SAME_SHARE = 3.0, 0.05
 class _Growth:
     """How far a pole goes on beyond one end of its mark in an image, as shares of the mark."""
 
+    is_bottom: bool
     length_px: float
     along_line: float
     by_pieces: float
@@ -48,7 +53,10 @@ class _Growth:
 
     @property
     def is_clear(self) -> bool:
-        return self.along_line > self.least and self.gain > _CLEAR_GAIN and self.fall < _CLEAR_FALL
+        apart = abs(self.along_line - self.by_pieces)
+        agree = self.is_bottom and apart <= _same(self.along_line, self.length_px)
+        gain = _AGREED_GAIN if agree else _CLEAR_GAIN
+        return self.along_line > self.least and self.gain > gain and self.fall < _CLEAR_FALL
 
 
 def whole_marks(
@@ -82,7 +90,7 @@ def _growth(image: MarkedImage, ends: FloatArray, k: int, width_px: float) -> _G
     inner, end = ends[1 - k], ends[k]
     line = grown_end(image, inner, end, width_px, min(_ASIDE, _ASIDE_PX / length))
     pieces = np.linalg.norm(follow_pole(image, inner, end, pole_width(image, ends)) - end)
-    return _Growth(length, line.off_px / length, float(pieces) / length, line.gain, line.fall)
+    return _Growth(k == 1, length, line.off_px / length, float(pieces) / length, line.gain, line.fall)
 
 
 def _beyond(growths: Sequence[_Growth], is_seen: bool) -> list[float]:
@@ -102,11 +110,14 @@ def _agreed(growths: Sequence[_Growth]) -> float:
     """Return what enough answers agree about; 0 if there are not enough."""
     answers = np.array([[each.along_line, each.by_pieces] for each in growths]).ravel()
     least = max(each.least for each in growths)
-    same = np.maximum(
-        _SAME_PX / np.mean([each.length_px for each in growths]), _SAME_SHARE * answers
-    )
+    same = _same(answers, float(np.mean([each.length_px for each in growths])))
     agreeing = np.abs(answers - answers[:, None]) <= same[:, None]
     votes = np.where(answers > least, agreeing.sum(axis=1), 0)
     if votes.max() < _VOTES or sum(each.gain for each in growths) < _AGREED_GAIN:
         return 0.0
     return float(answers[agreeing[np.argmax(votes)]].mean())
+
+
+def _same(answers: FloatArray | float, length_px: float) -> FloatArray:
+    """Return up to which difference answers agree, as shares of a mark of this length."""
+    return np.maximum(_SAME_PX / length_px, _SAME_SHARE * np.asarray(answers))

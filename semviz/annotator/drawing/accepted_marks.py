@@ -5,8 +5,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from semviz.annotator.messages import DrawnMark
+from semviz.annotator.proposals.label_proposals import inside
+from semviz_annotation.assist.marked_image import Mark
 from semviz_annotation.labels.edits import AddObservation
 from semviz_annotation.labels.labels import Labels
+from semviz_annotation.labels.views import camera_of
+from semviz_core.base.camera import Rig
 
 
 def accepted(
@@ -28,6 +32,25 @@ def unlabelled(marks: Sequence[DrawnMark], labels: Labels) -> tuple[Sequence[Dra
     if len(free) in (0, len(marks)):
         return marks, ""
     return free, f"{len(marks) - len(free)} of {len(marks)} were labelled meanwhile: theirs stay."
+
+
+def within_image(addition: AddObservation, rig: Rig) -> AddObservation:
+    """Return an edit whose pole ends at the border of the image, if a drag ended outside.
+
+    An end that is outside would refuse all that is accepted together, a whole filmstrip.
+    """
+    known = addition.anchor_known, addition.end_known
+    mark = Mark(addition.anchor_px, addition.end_px, *known)
+    part = inside(mark, camera_of(rig, addition.side)[0])
+    if part is None or part.end_px is None or part == mark:
+        return addition
+    return replace(
+        addition,
+        anchor_px=part.anchor_px,
+        end_px=part.end_px,
+        anchor_known=part.anchor_known,
+        end_known=part.end_known,
+    )
 
 
 def _is_labelled(mark: DrawnMark, labels: Labels) -> bool:

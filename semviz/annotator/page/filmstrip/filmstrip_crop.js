@@ -5,7 +5,7 @@
 import { drawHandle, drawLine, strokeCased } from "/static/glyphs.js";
 
 const LEAST_ZOOM = 3, MOST_ZOOM = 8; // CSS pixels per image pixel, across a pole and around a sign
-const AROUND = { pole: 1.3, sign: 2.4 }; // a crop shows so many times the element
+const AROUND = { pole: 1.3, sign: 1.6 }; // a crop shows so many times the element
 const SIGN_M = 0.9;
 const FOCAL_WIDTHS = 0.6; // focal length of a usual camera, in image widths
 const END_SHARE = 0.25; // of a pole: a drag that begins nearer to an end moves that end alone
