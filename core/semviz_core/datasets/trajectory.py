@@ -174,7 +174,7 @@ def read_text(path: Path) -> str:
     if not path.exists():
         raise SemvizError(f"{path}: no such file; a KITTI sequence needs it")
     try:
-        text = read_limited(path, MOST_TEXT_BYTES).decode("utf-8")
+        text = read_limited(path, MOST_TEXT_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise SemvizError(f"{path}: not a readable text file ({error}); copy it again") from None
     if max(text.count("\n"), text.count("\r")) > MOST_LINES:

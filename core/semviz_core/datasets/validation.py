@@ -40,6 +40,8 @@ JUMP_M_S = 60.0
 JUMP = 5.0
 """A jump is faster than both 60 m/s and five times the median speed."""
 
+MOST_CAR_M_S = 100.0
+
 
 def check_sizes(rig: Rig) -> None:
     """Raise SemvizError if a camera's calibration is clearly for images of another size."""
@@ -92,6 +94,17 @@ def unusual_motion(frames: Sequence[Frame]) -> str:
         return ""
     R = np.array([pose.rotation for pose in poses])
     return _wrong_direction(_directions(R[rows], t[rows]))
+
+
+def unusual_speed_m_s(frames: Sequence[Frame]) -> float | None:
+    """Return the median speed of a camera that is faster than any car; None if it is not."""
+    posed = [(frame, frame.T_map_camera) for frame in frames if frame.T_map_camera is not None]
+    gaps_s = np.diff([frame.time_s for frame, _ in posed])
+    if not (gaps_s > 0.0).any():
+        return None
+    gaps_m = np.linalg.norm(np.diff([pose.translation for _, pose in posed], axis=0), axis=1)
+    speed = float(np.median(gaps_m[gaps_s > 0.0] / gaps_s[gaps_s > 0.0]))
+    return speed if speed > MOST_CAR_M_S else None
 
 
 def _check_direction(R: FloatArray, t: FloatArray, looks_ahead: bool) -> None:

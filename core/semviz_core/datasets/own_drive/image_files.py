@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from struct import error, unpack_from
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -16,7 +17,6 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.trajectory import MOST_LINES, read_text
 
 _VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".hevc", ".m4v", ".webm")
-_EXIF_BYTES = 2**12
 _DARK = 2**14
 """Images of 16 bits that are never brighter: of 12 bits or less."""
 _OTHERS = (".tif", ".tiff", ".webp", ".bmp", ".pgm", ".ppm", ".jp2", ".heic", ".exr")
@@ -31,6 +31,9 @@ _JPEG_START, _JPEG_SCAN, _PNG_START = b"\xff\xd8\xff", b"\xda", b"\x89PNG\r\n\x1
 _JPEG_END, _PNG_END = b"\xff\xd9", b"\0\0\0\0IEND\xaeB`\x82"
 _HEAD_BYTES, _TAIL_BYTES = 2**16, 2**10
 """Read of an image, to tell whether it is whole."""
+_EXIF = re.compile(rb"(?:Exif\0\0|eXIf)(?=(II\*\0)|MM\0\*)")
+"""Before the metadata of a camera, in a JPEG and a PNG; the first group says little-endian."""
+_ORIENTATION = 0x0112
 MOST_PAIR_S = 0.002
 """Between the images of a stereo pair; a car at 20 m/s moves 4 cm."""
 _NAMED_TIME = re.compile(r"(|.*[^\d.])([1-9]\d{9,}(?:\.\d+)?)")
@@ -266,7 +269,14 @@ def _why_unusable(path: Path, size: tuple[int, int]) -> str:
         return "not readable"
     if found is None:
         return "damaged or cut off"
-    return "" if found == size else f"{found[0]}x{found[1]}, not {size[0]}x{size[1]}"
+    if found != size:
+        return f"{found[0]}x{found[1]}, not {size[0]}x{size[1]}"
+    if _is_stored_turned(limits.read_limited(path, limits.MOST_IMAGE_BYTES, _HEAD_BYTES)):
+        return (
+            "stored turned, with an EXIF orientation; turn the pixels of all images for good and "
+            f"calibrate these: mogrify -auto-orient *{path.suffix}"
+        )
+    return ""
 
 
 def size_of_whole_image(path: Path) -> tuple[int, int] | None:
@@ -294,17 +304,30 @@ def _has_jpeg_end(data: bytes) -> bool:
     return data.startswith(_JPEG_START) and data.find(_JPEG_END, place) > 0
 
 
-def refuse_turned_or_dark(path: Path) -> None:
-    """Raise SemvizError if an image is stored turned, or black when its upper 8 bits are shown.
+def _is_stored_turned(head: bytes) -> bool:
+    """Whether the EXIF orientation in the start of an image turns or mirrors it when decoded.
 
-    A calibration may be for turned pixels or not. Usual images are not decoded.
+    A calibration may be for turned pixels or not.
+    """
+    exif = _EXIF.search(head)
+    if exif is None:
+        return False
+    tiff, order = head[exif.end() :], "<" if exif[1] else ">"
+    try:
+        (place,) = unpack_from(f"{order}I", tiff, 4)
+        (count,) = unpack_from(f"{order}H", tiff, place)
+        entries = (unpack_from(f"{order}HHIH", tiff, place + 2 + 12 * row) for row in range(count))
+        return any(tag == _ORIENTATION and 2 <= value <= 8 for tag, _, _, value in entries)
+    except error:  # cut off: decoders find no orientation, either
+        return False
+
+
+def refuse_dark(path: Path) -> None:
+    """Raise SemvizError if an image is black when its upper 8 bits are shown.
+
+    Images of 8 bits are not decoded.
     """
     data = limits.read_limited(path, limits.MOST_IMAGE_BYTES)
-    if b"Exif" in data[:_EXIF_BYTES] and limits.is_turned(data, path):
-        raise SemvizError(
-            f"{path}: is stored turned, with an EXIF orientation; turn the pixels of all images "
-            "for good and calibrate these: mogrify -auto-orient *.jpg"
-        )
     brightest = limits.brightest_of_16_bits(data, path)
     if brightest is not None and brightest < _DARK:
         raise SemvizError(

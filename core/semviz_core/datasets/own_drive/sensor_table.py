@@ -61,6 +61,7 @@ _UNITS: tuple[TimeUnit, ...] = ("ms", "us", "ns", "s")
 _UNIT = re.compile(r"\s*[\[(]\s*([a-z/]*)\s*[\])]")
 _TITLE = re.compile(r"^#?\s*\w+:\s")
 """Of a table, before the name of its first column."""
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 _LEAST_TIME = 1e12
 """Numbers of frames from here on are times since 1970."""
 
@@ -125,6 +126,13 @@ def read_table(path: Path, unit: TimeUnit | None = None) -> SensorTable | None:
     return _of_cells(path, head, places, rows, unit) if places.keys() - _LABELS else None
 
 
+def refuse_decimal_commas(path: Path, line: str) -> None:
+    """Raise SemvizError if numbers of a line, between spaces or semicolons, have decimal commas."""
+    cells = [cell for cell in re.split(r"[\s;]+", line) if _DECIMAL_COMMA.fullmatch(cell)]
+    if len(cells) > 1:
+        raise SemvizError(f"{path}: decimal commas, such as {shown(cells[0], 40)}; write points")
+
+
 def _text_cells(path: Path) -> tuple[list[str], list[list[str]]]:
     """Return the names of columns and the cells of each line; no lines without known names."""
     lines = [line for line in read_text(path).splitlines() if line.strip()]
@@ -135,7 +143,9 @@ def _text_cells(path: Path) -> tuple[list[str], list[list[str]]]:
     (head,) = table_rows([_squeezed(first) if delimiter == " " else first], path, delimiter) or [[]]
     if not _places(head).keys() - _LABELS:
         return head, []
-    body = (line for line in lines[1:] if line[0] != "#")
+    body = [line for line in lines[1:] if line[0] != "#"]
+    if delimiter != "," and body:
+        refuse_decimal_commas(path, body[0])
     rows = table_rows(map(_squeezed, body) if delimiter == " " else body, path, delimiter)
     if not rows:
         raise SemvizError(f"{path}: has names of columns, and no line below; name another file")
