@@ -248,3 +248,27 @@ def test_a_latitude_beyond_the_poles_is_a_longitude(tmp_path: Path) -> None:
     path.write_text("time,lat,lon,height,heading\n0,121.5,31.2,5,0\n1,121.5,31.3,5,0\n")
     with pytest.raises(SemvizError, match="exchange the names of the columns lat and lon"):
         read_poses(path)
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("{name};{time},5", "decimal commas, such as .*; write points"),
+        ("2023-11-14 22:13:2{time}", "'2023-11-14' is not a time; give a number"),
+    ],
+)
+def test_times_in_other_forms_are_not_cut(
+    drive: DriveFiles, tmp_path: Path, line: str, says: str
+) -> None:
+    times = tmp_path / "times.txt"
+    names = [Path(image_name(index)).name for index in range(COUNT)]
+    times.write_text("\n".join(line.format(name=name, time=i) for i, name in enumerate(names)))
+    with pytest.raises(SemvizError, match=says):
+        read_drive(replace(drive, times=times))
+
+
+def test_an_archive_in_place_of_a_folder_is_told(drive: DriveFiles, tmp_path: Path) -> None:
+    archive = tmp_path / "images.zip"
+    archive.write_bytes(b"PK")
+    with pytest.raises(SemvizError, match="a file; name a folder of images, and unpack an archive"):
+        read_drive(replace(drive, images=archive))

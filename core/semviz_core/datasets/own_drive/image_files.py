@@ -14,7 +14,7 @@ from semviz_core.base.frame import Side
 from semviz_core.common import limits
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.trajectory import MOST_LINES, read_text
+from semviz_core.datasets.trajectory import MOST_LINES, read_text, refuse_decimal_commas
 
 _VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".hevc", ".m4v", ".webm")
 _DARK = 2**14
@@ -191,6 +191,8 @@ def _names(path: Path) -> list[str]:
                 f"{folder}: a video; write its images first, all of them: ffmpeg -i {folder.name} "
                 "images/%06d.png"
             )
+        if folder.is_file():
+            raise SemvizError(f"{folder}: a file; name a folder of images, and unpack an archive")
         raise SemvizError(f"{folder}: no such folder of images; name another")
     if pattern.count("*") > 1:
         raise SemvizError(f"{path}: give one star, for what differs between images of a camera")
@@ -372,13 +374,16 @@ def read_times(path: Path, names: Sequence[str], unit: TimeUnit | None) -> Image
     are numbers, of which the first is the time of the next image. Raise SemvizError if an image
     has none.
     """
-    lines = [
-        _fields(line)
+    written = [
+        line
         for line in read_text(path).splitlines()
         if line.strip() and not line.lstrip().startswith("#")
     ]
-    if lines and not any(map(is_number, lines[0])):
-        lines = lines[1:]  # the names of columns
+    for line in written:
+        refuse_decimal_commas(path, line)
+    lines = [_fields(line) for line in written]
+    if lines and not any(map(is_number, lines[0])) and not written[0].lstrip()[0].isdigit():
+        lines = lines[1:]  # the names of columns, unlike a date
     by_name = {}
     for row in lines:
         texts = [word for word in row if Path(word).suffix.lower() in SUFFIXES]
@@ -434,7 +439,7 @@ def in_seconds(
     """
     wrong = next((word for word in words if not is_number(word)), None)
     if wrong is not None:
-        raise SemvizError(f"{where}: {limits.shown(wrong, 40)!r} is not a time; repair it")
+        raise SemvizError(f"{where}: {limits.shown(wrong, 40)!r} is not a time; give a number")
     values = np.array([float(word) for word in words])
     if unit is None:
         first = float(np.abs(values).max()) if len(values) else 0.0

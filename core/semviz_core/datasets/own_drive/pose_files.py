@@ -23,8 +23,8 @@ from semviz_core.datasets.own_drive.conventions import (
 )
 from semviz_core.datasets.own_drive.image_files import SUFFIXES, TimeUnit, in_seconds, is_number
 from semviz_core.datasets.own_drive.pose_tables import poses_of_columns
-from semviz_core.datasets.own_drive.sensor_table import read_table, refuse_decimal_commas
-from semviz_core.datasets.trajectory import MOST_LINES, read_text
+from semviz_core.datasets.own_drive.sensor_table import read_table
+from semviz_core.datasets.trajectory import MOST_LINES, read_text, refuse_decimal_commas
 
 _HEAD = 1000
 """Characters of a file in which columns are named."""

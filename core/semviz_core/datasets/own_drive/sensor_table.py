@@ -16,7 +16,7 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown, table_rows
 from semviz_core.datasets.own_drive.image_files import TimeUnit, in_seconds, is_number
 from semviz_core.datasets.own_drive.json_table import json_cells
-from semviz_core.datasets.trajectory import read_text
+from semviz_core.datasets.trajectory import read_text, refuse_decimal_commas
 
 _COLUMNS = {
     "time": r"(header_)?(t|u?time|time_?stamp|stamp|utc|gps_?time)(_(s|ms|us|ns))?",
@@ -61,7 +61,6 @@ _UNITS: tuple[TimeUnit, ...] = ("ms", "us", "ns", "s")
 _UNIT = re.compile(r"\s*[\[(]\s*([a-z/]*)\s*[\])]")
 _TITLE = re.compile(r"^#?\s*\w+:\s")
 """Of a table, before the name of its first column."""
-_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 _LEAST_TIME = 1e12
 """Numbers of frames from here on are times since 1970."""
 
@@ -124,13 +123,6 @@ def read_table(path: Path, unit: TimeUnit | None = None) -> SensorTable | None:
     head, rows = json_cells(path) if path.suffix == ".json" else _text_cells(path)
     places = _places(head)
     return _of_cells(path, head, places, rows, unit) if places.keys() - _LABELS else None
-
-
-def refuse_decimal_commas(path: Path, line: str) -> None:
-    """Raise SemvizError if numbers of a line, between spaces or semicolons, have decimal commas."""
-    cells = [cell for cell in re.split(r"[\s;]+", line) if _DECIMAL_COMMA.fullmatch(cell)]
-    if len(cells) > 1:
-        raise SemvizError(f"{path}: decimal commas, such as {shown(cells[0], 40)}; write points")
 
 
 def _text_cells(path: Path) -> tuple[list[str], list[list[str]]]:
