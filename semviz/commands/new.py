@@ -243,7 +243,7 @@ class NewCommand:
         from semviz.workspace.drive_check_file import CHECKS, DriveChecks, StepErrors, save_checks
         from semviz.workspace.workspace import Workspace
         from semviz_core.datasets.own_drive.recorded_drive import read_drive
-        from semviz_core.datasets.validation import unusual_motion, unusual_speed_m_s
+        from semviz_core.datasets.validation import unusual_motion
 
         with Steps() as steps:
             files = self._files(images, extracted, steps.show)
@@ -258,12 +258,6 @@ class NewCommand:
             others.append(
                 f"the camera moves {where}: right for a camera that looks there, else poses of a "
                 "body (--extrinsic) or of another --direction"
-            )
-        if speed := unusual_speed_m_s(drive.first_frames):
-            others.append(
-                f"the camera moves at {speed:.0f} m/s: positions in another unit than metres "
-                "(--scale 0.001 if in millimetres), or times that are not those of the images "
-                "(--rate, --times)"
             )
         checks = [
             check.model_copy(update={"remedy": self._again_with(check.option)})

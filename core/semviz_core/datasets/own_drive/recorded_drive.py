@@ -35,6 +35,7 @@ from semviz_core.datasets.own_drive.rectification import (
     rectify_cameras,
     rectify_rig,
 )
+from semviz_core.datasets.validation import largest_jump, unusual_speed_m_s
 
 _LOST_VIEW = 0.75
 """A camera of a rig that keeps less of its field of view is worth a warning."""
@@ -281,6 +282,22 @@ def _state_matched(reading: Reading, images: RecordedImages, its: _Frames) -> No
             f"{count - posed} of {count} images have no pose: they can be labelled, and are left "
             f"out of maps{_why_most(reading, images, its)}"
         )
+    _warn_of_motion(reading, its)
+
+
+def _warn_of_motion(reading: Reading, its: _Frames) -> None:
+    """Warn of positions that no car could have, by the times of the images."""
+    frames = [
+        Frame(number, float(its.times.time_s[row]), its.poses[row])
+        for number, row in zip(its.numbers, its.rows, strict=True)
+    ]
+    if speed := unusual_speed_m_s(frames):
+        reading.warn(
+            f"the camera moves at {speed:.0f} m/s: positions in another unit than metres (--scale "
+            "0.001 if in millimetres), or times that are not those of the images (--rate, --times)"
+        )
+    elif its.times.unit is not None and (jump := largest_jump(frames)):
+        reading.warn(f"{jump}: correct the poses, or leave these frames out")
 
 
 def _why_most(reading: Reading, images: RecordedImages, its: _Frames) -> str:
