@@ -1,5 +1,6 @@
 """Images, times and calibrations as real drives have them: read right, or refused with a remedy."""
 
+import re
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -272,3 +273,18 @@ def test_an_archive_in_place_of_a_folder_is_told(drive: DriveFiles, tmp_path: Pa
     archive.write_bytes(b"PK")
     with pytest.raises(SemvizError, match="a file; name a folder of images, and unpack an archive"):
         read_drive(replace(drive, images=archive))
+
+
+def test_coefficients_that_leave_little_of_the_images_are_told(
+    drive: DriveFiles, tmp_path: Path
+) -> None:
+    """Read, but hardly those of a lens: in another order, or with decimal commas."""
+    for path in drive.images.iterdir():
+        cv2.imwrite(str(path), cv2.resize(GRADIENT, (1241, 376)))
+    (tmp_path / "cam.toml").write_text(
+        '[left]\nsize_px = [1241, 376]\nmodel = "brown-conrady"\nfocal_px = [719, 719]\n'
+        "center_px = [607, 185]\ndistortion = [0, 1, 0, 2]\n"
+    )
+    (warning,) = read_drive(drive).warnings
+    assert re.match(r"only \d+x\d+ pixels are left of the images of 1241x376 after undist", warning)
+    assert not read_drive(replace(drive, most_view_deg=10.0)).warnings
