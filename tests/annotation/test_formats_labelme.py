@@ -173,5 +173,7 @@ def test_two_files_of_one_image_are_refused(tmp_path: Path) -> None:
     with pytest.raises(SemvizError, match=r"copy.json: a second file of the left image of frame 3"):
         read_labelme(tmp_path / "left", READING)
     (tmp_path / "none").mkdir()
-    with pytest.raises(SemvizError, match=r"a folder without .json files"):
+    with pytest.raises(
+        SemvizError, match=r"a folder without .json files\. Nothing was imported\.$"
+    ):
         read_labelme(tmp_path / "none", READING)

@@ -443,6 +443,19 @@ def test_a_backward_camera_is_warned_about_and_accepted(
     )  # fmt: skip
     assert code == 0, err
     assert "the camera moves backwards in 100% of its steps" in err
+    assert " m/s" not in err
+
+    poses.write_text(
+        "".join(f"{10.0 + 0.5 * i} {-2000 * i} 0 0 0.5 0.5 -0.5 -0.5\n" for i in range(6))
+    )
+    code, _, err = call(
+        capsys, "new", small / "mm", "--images", small / "cam",
+        "--calibration", small / "cam.toml", "--poses", poses, "--times", times,
+    )  # fmt: skip
+    assert code == 0, err
+    assert (
+        "the camera moves at 4000 m/s: positions in another unit than metres (--scale 0.001" in err
+    )
 
 
 def test_a_damaged_drive_file_is_named(small: Path, semviz: Semviz) -> None:

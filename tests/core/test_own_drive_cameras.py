@@ -155,9 +155,16 @@ def test_a_rectified_pair_is_left_as_it_is() -> None:
     assert rectified.rig.baseline_m == 0.54
 
 
-def test_a_matrix_alone_is_a_camera_of_the_size_of_its_images(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "text",
+    [
+        "831.5 0 510.6\n0 833.6 391.5\n0 0 1\n",
+        "[[831.5, 0, 510.6],\n [0, 833.6, 391.5],\n [0, 0, 1]]",
+    ],
+)
+def test_a_matrix_alone_is_a_camera_of_the_size_of_its_images(tmp_path: Path, text: str) -> None:
     path = tmp_path / "K.txt"
-    path.write_text("831.5 0 510.6\n0 833.6 391.5\n0 0 1\n")
+    path.write_text(text)
     (camera,) = read_calibration(path, size=(1024, 768)).cameras
     assert (camera.model, camera.width, camera.height) == ("pinhole", 1024, 768)
     with pytest.raises(SemvizError, match="no size of images"):

@@ -211,3 +211,25 @@ def test_columns_taken_in_another_order_than_their_names_say(tmp_path: Path) -> 
     path = written(tmp_path / "a.csv", f"{head}\n1,0,0,0,1,0,0,0\n")
     np.testing.assert_array_equal(read_poses(path, "wxyz").matrices[0, :, :3], np.eye(3))
     assert read_poses(path).matrices[0, 1, 1] == -1.0
+
+
+@pytest.mark.parametrize("names", ["", "time_s;x_m;y_m;z_m;qx;qy;qz;qw\n"])
+def test_decimal_commas_are_refused(tmp_path: Path, names: str) -> None:
+    path = tmp_path / "poses.csv"
+    path.write_text(f"{names}1,5;12,31;-4,02;1,65;0,5;0,5;0,5;0,5\n")
+    with pytest.raises(SemvizError, match=r"poses\.csv: decimal commas, such as 1,5; write points"):
+        read_poses(path)
+
+
+def test_columns_by_names_that_are_not_known_are_not_taken_by_their_number(tmp_path: Path) -> None:
+    """Millimetres, or north before east, would be taken for TUM's metres."""
+    path = tmp_path / "poses.csv"
+    path.write_text("time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw\n1.5,12000,0,0,0,0,0,1\n")
+    with pytest.raises(SemvizError, match=r"columns called time_s, x_mm, y_mm, .*name the columns"):
+        read_poses(path)
+
+
+def test_a_byte_order_mark_is_no_name_of_a_column(tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_text("1.5 0 0 0 0 0 0 1\n2.5 1 0 0 0 0 0 1\n", encoding="utf-8-sig")
+    assert len(read_poses(path).matrices) == 2

@@ -1,5 +1,7 @@
 """Images, times and calibrations as real drives have them: read right, or refused with a remedy."""
 
+import re
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -83,7 +85,9 @@ def test_images_of_one_time_are_counted(drive: DriveFiles, tmp_path: Path) -> No
     times = tmp_path / "times.txt"
     times.write_text("\n".join(str(100 + max(index, 1)) for index in range(COUNT)))
     warnings = read_drive(replace(drive, times=times)).warnings
-    assert warnings == ("same time for different images, 1 times: repair times.txt",)
+    first, second = (Path(image_name(index)).name for index in (0, 1))
+    named = f"1 image with the time of another one, such as {first} and {second}: repair times.txt"
+    assert warnings == (named,)
 
 
 def test_poses_at_a_lower_rate_name_the_option_that_bridges_them(
@@ -111,18 +115,26 @@ def dark(path: Path) -> None:
     cv2.imwrite(str(path), GRADIENT.astype(np.uint16) * 16)
 
 
+TURNED = b"\x08\x00\x00\x00\x01\x00\x12\x01\x03\x00\x01\x00\x00\x00\x06\x00\x00\x00" + bytes(4)
+"""Metadata of a phone that was held upright, behind the order of their bytes."""
+
+
 def turned(path: Path) -> None:
-    """With the EXIF orientation of a phone that was held upright."""
+    """With an EXIF orientation."""
     data = cv2.imencode(".jpg", GRADIENT)[1].tobytes()
-    tiff = (
-        b"II*\x00\x08\x00\x00\x00\x01\x00\x12\x01\x03\x00\x01\x00\x00\x00\x06\x00\x00\x00"
-        + bytes(4)
-    )
-    exif = b"Exif\x00\x00" + tiff
+    exif = b"Exif\x00\x00II*\x00" + TURNED
     path.with_suffix(".jpg").write_bytes(
         data[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + data[2:]
     )
     path.unlink()
+
+
+def turned_png(path: Path) -> None:
+    """As converted from a turned JPEG, with its metadata; numbers begin with their high byte."""
+    data = cv2.imencode(".png", GRADIENT)[1].tobytes()
+    exif = b"eXIfMM\x00*\x00\x00\x00\x08\x00\x01\x01\x12\x00\x03\x00\x00\x00\x01\x00\x03" + bytes(6)
+    chunk = (len(exif) - 4).to_bytes(4, "big") + exif + zlib.crc32(exif).to_bytes(4, "big")
+    path.write_bytes(data[:33] + chunk + data[33:])
 
 
 def half(path: Path) -> None:
@@ -137,7 +149,8 @@ def tiff(path: Path) -> None:
     ("change", "message"),
     [
         (dark, "16 bits whose brightest value is 4080 of 65535; .*mogrify -normalize -depth 8"),
-        (turned, "stored turned, with an EXIF orientation; .*mogrify -auto-orient"),
+        (turned, r"stored turned, with an EXIF orientation; .*mogrify -auto-orient \*\.jpg"),
+        (turned_png, r"stored turned, with an EXIF orientation; .*mogrify -auto-orient \*\.png"),
         (half, r"if they were scaled by 0\.5, multiply focal lengths by that and take 0\.5 \*"),
         (tiff, r"convert its \.tiff files: mogrify -format png \*\.tiff"),
     ],
@@ -150,6 +163,16 @@ def test_images_that_need_work_first_are_refused_with_it(
     with pytest.raises(SemvizError, match=message) as refused:
         read_drive(drive)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("turn", [turned, turned_png])
+def test_single_images_that_are_stored_turned_are_left_out(
+    drive: DriveFiles, turn: Callable[[Path], None]
+) -> None:
+    turn(sorted(drive.images.iterdir())[1])
+    read = read_drive(drive)
+    assert [frame.index for frame in read.frames] == [0, *range(2, COUNT)]
+    assert any("stored turned, with an EXIF orientation" in warning for warning in read.warnings)
 
 
 def test_images_of_16_bits_that_are_bright_are_read(drive: DriveFiles) -> None:
@@ -226,3 +249,42 @@ def test_a_latitude_beyond_the_poles_is_a_longitude(tmp_path: Path) -> None:
     path.write_text("time,lat,lon,height,heading\n0,121.5,31.2,5,0\n1,121.5,31.3,5,0\n")
     with pytest.raises(SemvizError, match="exchange the names of the columns lat and lon"):
         read_poses(path)
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("{name};{time},5", "decimal commas, such as .*; write points"),
+        ("2023-11-14 22:13:2{time}", "'2023-11-14' is not a time; give a number"),
+    ],
+)
+def test_times_in_other_forms_are_not_cut(
+    drive: DriveFiles, tmp_path: Path, line: str, says: str
+) -> None:
+    times = tmp_path / "times.txt"
+    names = [Path(image_name(index)).name for index in range(COUNT)]
+    times.write_text("\n".join(line.format(name=name, time=i) for i, name in enumerate(names)))
+    with pytest.raises(SemvizError, match=says):
+        read_drive(replace(drive, times=times))
+
+
+def test_an_archive_in_place_of_a_folder_is_told(drive: DriveFiles, tmp_path: Path) -> None:
+    archive = tmp_path / "images.zip"
+    archive.write_bytes(b"PK")
+    with pytest.raises(SemvizError, match="a file; name a folder of images, and unpack an archive"):
+        read_drive(replace(drive, images=archive))
+
+
+def test_coefficients_that_leave_little_of_the_images_are_told(
+    drive: DriveFiles, tmp_path: Path
+) -> None:
+    """Read, but hardly those of a lens: in another order, or with decimal commas."""
+    for path in drive.images.iterdir():
+        cv2.imwrite(str(path), cv2.resize(GRADIENT, (1241, 376)))
+    (tmp_path / "cam.toml").write_text(
+        '[left]\nsize_px = [1241, 376]\nmodel = "brown-conrady"\nfocal_px = [719, 719]\n'
+        "center_px = [607, 185]\ndistortion = [0, 1, 0, 2]\n"
+    )
+    (warning,) = read_drive(drive).warnings
+    assert re.match(r"only \d+x\d+ pixels are left of the images of 1241x376 after undist", warning)
+    assert not read_drive(replace(drive, most_view_deg=10.0)).warnings

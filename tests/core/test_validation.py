@@ -16,7 +16,13 @@ from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.kitti import KittiSequence
 from semviz_core.datasets.trajectory import T_MAP_WORLD
-from semviz_core.datasets.validation import Calibration, check_poses, check_sides, check_sizes
+from semviz_core.datasets.validation import (
+    Calibration,
+    check_poses,
+    check_sides,
+    check_sizes,
+    largest_jump,
+)
 from semviz_core.simulation.layout import StreetOptions
 from semviz_core.simulation.street import Street
 
@@ -127,6 +133,19 @@ def test_a_car_that_backs_out_and_drives_on_is_fine() -> None:
     check_poses(framed(back + drive(-0.05, AHEAD, 40, start=back[-1])))
 
 
+def test_a_frame_aside_or_ahead_of_its_neighbours_is_named() -> None:
+    """Also where images cannot tell, as with one camera; a car that brakes hard is none."""
+    poses = drive(0.01, AHEAD, 60)
+    aside = poses[30] @ Pose(np.eye(3), np.array([3.0, 0.0, 0.0]))
+    named = "frame 30 is 2.9 m from where a car could be between frames 29 and 31"
+    assert largest_jump(framed([*poses[:30], aside, *poses[31:]])) == named
+    assert largest_jump(framed(poses)) == largest_jump(framed(poses[:2])) == ""
+    braking = [
+        Pose(np.eye(3), np.array([0.0, 0.0, -5.0 * (3.0 - 0.1 * i) ** 2])) for i in range(30)
+    ]
+    assert largest_jump(framed(braking)) == ""
+
+
 def test_a_jump_is_named_with_its_frames() -> None:
     poses = drive(0.01, AHEAD, 60)
     aside = Pose(np.eye(3), np.array([60.0, 0.0, 70.0]))
@@ -149,6 +168,7 @@ def test_kittis_poses_pass_whole_and_in_parts_and_inverted_ones_do_not(
     frames = framed([T_MAP_WORLD @ pose for pose in T_world_camera])
     inverted = framed([T_MAP_WORLD @ pose.inverse() for pose in T_world_camera])
     check_poses(frames)
+    assert largest_jump(frames) == ""
     with pytest.raises(SemvizError, match="poses are inverted"):
         check_poses(inverted)
     noticed = []

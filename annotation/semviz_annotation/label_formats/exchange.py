@@ -134,7 +134,7 @@ def guess_format(path: Path) -> ForeignFormat:
             return _json_format(path)
         if text.startswith(b"PK"):
             raise SemvizError("a zip archive; unpack it and import what is in it")
-        raise SemvizError("neither CVAT, labelme nor COCO; say which with --format")
+        raise SemvizError("neither CVAT, labelme nor COCO; let its tool export one of these")
 
 
 def _json_format(path: Path) -> ForeignFormat:
@@ -143,7 +143,7 @@ def _json_format(path: Path) -> ForeignFormat:
         return "coco"
     if "shapes" in document:
         return "labelme"
-    raise SemvizError("JSON, but neither labelme's nor COCO's; say which with --format")
+    raise SemvizError("JSON, but neither labelme's nor COCO's; let its tool export one of these")
 
 
 def _commit(

@@ -37,19 +37,24 @@ _FLAGS = ("anchor_known", "end_known")
 
 
 def labelme_files(path: Path) -> list[Path]:
-    """Return ``path``, or all JSON files in the folder ``path``, by name."""
+    """Return ``path``, or all JSON files in the folder ``path``, by name.
+
+    Raise SemvizError, without the path, if a folder has none.
+    """
     if not path.is_dir():
         return [path]
     files = sorted(file for file in path.rglob("*.json") if file.is_file())
     if not files:
-        raise SemvizError(f"{path}: a folder without .json files; nothing was imported")
+        raise SemvizError("a folder without .json files")
     return files
 
 
 def read_labelme(path: Path, context: LabelImportContext) -> reading.ParsedLabels:
     """Return the poles and signs of a file or folder. Raise SemvizError, naming an invalid item."""
     parsed = reading.ParsedLabels()
-    for file in labelme_files(path):
+    with reading.at(path):
+        files = labelme_files(path)
+    for file in files:
         with reading.at(file):
             beside = file.relative_to(path.parent) if path.is_dir() else Path(*file.parts[-2:])
             document = reading.as_object(

@@ -104,7 +104,9 @@ def snapshot(path: Path) -> sqlite3.Connection:
     Raise SemvizError if ``path`` is missing, another file, of a newer version or unreadable.
     """
     if not path.is_file():
-        raise SemvizError(f"{path}: there is no such file")
+        raise SemvizError(
+            f"{path}: there is no such file; the first label makes it: semviz annotate"
+        )
     database.check_not_empty(path)
     memory = sqlite3.connect(":memory:", isolation_level=None)
     try:

@@ -304,7 +304,7 @@ def parsing_xml() -> Iterator[None]:
 def read_toml(path: Path) -> dict[str, Any]:
     """Return a file's TOML. Raise SemvizError if it is unreadable, or too large."""
     try:
-        text = read_limited(path, MOST_SETTINGS_BYTES).decode("utf-8")
+        text = read_limited(path, MOST_SETTINGS_BYTES).decode("utf-8-sig")
         if any(part.count(".") > _MOST_KEY_PARTS for part in _TOML_KEY_END.split(text)):
             raise ValueError(f"a key of more than {_MOST_KEY_PARTS} parts")  # quadratic in tomllib
         return tomllib.loads(text)
@@ -376,17 +376,6 @@ def decode_image(data: bytes, where: object, reduced: bool = False) -> ByteImage
 
     flags = cv2.IMREAD_REDUCED_COLOR_2 if reduced else cv2.IMREAD_COLOR
     return np.asarray(_decoded(data, where, flags), np.uint8)
-
-
-def is_turned(data: bytes, where: object) -> bool:
-    """Whether an image's EXIF orientation turns or mirrors it when it is decoded."""
-    import cv2
-
-    shown, stored = (
-        _decoded(data, where, cv2.IMREAD_COLOR | flag)
-        for flag in (0, cv2.IMREAD_IGNORE_ORIENTATION)
-    )
-    return not np.array_equal(shown, stored)
 
 
 def brightest_of_16_bits(data: bytes, where: object) -> int | None:

@@ -5,6 +5,7 @@ of a 3x4 matrix in the map frame rotated to KITTI's axes: x right, y down, z for
 poses of the left camera, camera to world. KITTI's own files hold poses of camera 0.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,7 @@ MOST_APART_S = 0.01
 """Largest difference in time between a pose of a TUM file and its frame."""
 MOST_LINES = 1_000_000
 """Of a file of numbers; a day at 10 Hz has 864,000."""
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 _UPRIGHT = 0.5
 """Least mean cosine between the map's z axis and the cameras' up direction."""
 
@@ -174,9 +176,17 @@ def read_text(path: Path) -> str:
     if not path.exists():
         raise SemvizError(f"{path}: no such file; a KITTI sequence needs it")
     try:
-        text = read_limited(path, MOST_TEXT_BYTES).decode("utf-8")
+        text = read_limited(path, MOST_TEXT_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise SemvizError(f"{path}: not a readable text file ({error}); copy it again") from None
+        raise SemvizError(f"{path}: not a text in UTF-8 ({error}); write it anew") from None
     if max(text.count("\n"), text.count("\r")) > MOST_LINES:
         raise SemvizError(f"{path}: more than {MOST_LINES} lines; split the file")
     return text
+
+
+def refuse_decimal_commas(path: Path, line: str) -> None:
+    """Raise SemvizError if numbers of a line, between spaces or semicolons, have decimal commas."""
+    cells = re.split(r"[\s;]+", line.strip())
+    cells = [cell for cell in cells if _DECIMAL_COMMA.fullmatch(cell)] if len(cells) > 1 else []
+    if cells:
+        raise SemvizError(f"{path}: decimal commas, such as {shown(cells[0], 40)}; write points")

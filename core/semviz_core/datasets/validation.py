@@ -40,6 +40,10 @@ JUMP_M_S = 60.0
 JUMP = 5.0
 """A jump is faster than both 60 m/s and five times the median speed."""
 
+MOST_CAR_M_S, MOST_CAR_M_S2 = 100.0, 15.0
+STRAY_M = 0.5
+"""Positions that a car could not reach by this much are named. KITTI's reach 0.08 m."""
+
 
 def check_sizes(rig: Rig) -> None:
     """Raise SemvizError if a camera's calibration is clearly for images of another size."""
@@ -92,6 +96,41 @@ def unusual_motion(frames: Sequence[Frame]) -> str:
         return ""
     R = np.array([pose.rotation for pose in poses])
     return _wrong_direction(_directions(R[rows], t[rows]))
+
+
+def unusual_speed_m_s(frames: Sequence[Frame]) -> float | None:
+    """Return the median speed of a camera that is faster than any car; None if it is not."""
+    posed = [(frame, frame.T_map_camera) for frame in frames if frame.T_map_camera is not None]
+    gaps_s = np.diff([frame.time_s for frame, _ in posed])
+    if not (gaps_s > 0.0).any():
+        return None
+    gaps_m = np.linalg.norm(np.diff([pose.translation for _, pose in posed], axis=0), axis=1)
+    speed = float(np.median(gaps_m[gaps_s > 0.0] / gaps_s[gaps_s > 0.0]))
+    return speed if speed > MOST_CAR_M_S else None
+
+
+def largest_jump(frames: Sequence[Frame]) -> str:
+    """Return where a camera is farthest from where a car could be between its two neighbours.
+
+    Empty if it is nowhere ``STRAY_M`` off.
+    """
+    posed = [(frame, frame.T_map_camera) for frame in frames if frame.T_map_camera is not None]
+    if len(posed) < 3:
+        return ""
+    gaps_s = np.diff([frame.time_s for frame, _ in posed])
+    steps = np.diff([pose.translation for _, pose in posed], axis=0)
+    velocity = steps / np.maximum(gaps_s, 1e-6)[:, None]
+    change = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
+    shorter_s, mean_s = np.minimum(gaps_s[:-1], gaps_s[1:]), (gaps_s[:-1] + gaps_s[1:]) / 2.0
+    stray_m = 0.5 * (change - MOST_CAR_M_S2 * mean_s) * np.maximum(shorter_s, 0.0)
+    worst = int(stray_m.argmax())
+    if stray_m[worst] <= STRAY_M:
+        return ""
+    before, at, after = (frame.index for frame, _ in posed[worst : worst + 3])
+    return (
+        f"frame {at} is {stray_m[worst]:.1f} m from where a car could be between frames {before} "
+        f"and {after}"
+    )
 
 
 def _check_direction(R: FloatArray, t: FloatArray, looks_ahead: bool) -> None:

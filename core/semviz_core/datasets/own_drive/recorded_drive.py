@@ -35,9 +35,12 @@ from semviz_core.datasets.own_drive.images.rectification import (
 )
 from semviz_core.datasets.own_drive.poses import conventions
 from semviz_core.datasets.own_drive.recording import DriveFiles
+from semviz_core.datasets.validation import largest_jump, unusual_speed_m_s
 
 _LOST_VIEW = 0.75
 """A camera of a rig that keeps less of its field of view is worth a warning."""
+_LITTLE_LEFT = 0.4
+"""Rectified images that keep less of the width or height are worth a warning."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +118,7 @@ def read_drive(files: DriveFiles) -> RecordedDrive:
         _warn_of_lost_view(readings, images, rectified)
     else:
         rectified = [rectify_rig(first.original, files.most_view_deg)]
-    _state_rectification(statements, rectified)
+    _state_rectification(statements, first.original.left, rectified, files.most_view_deg)
     mounts = [_mount(first.calibration, one.calibration) for one in images]
     frames = _read_frames(readings, images, mounts)
     axes = _world_axes(files, statements, frames) if first.posed is not None else None
@@ -281,6 +284,22 @@ def _state_matched(reading: Reading, images: RecordedImages, its: _Frames) -> No
             f"{count - posed} of {count} images have no pose: they can be labelled, and are left "
             f"out of maps{_why_most(reading, images, its)}"
         )
+    _warn_of_motion(reading, its)
+
+
+def _warn_of_motion(reading: Reading, its: _Frames) -> None:
+    """Warn of positions that no car could have, by the times of the images."""
+    frames = [
+        Frame(number, float(its.times.time_s[row]), its.poses[row])
+        for number, row in zip(its.numbers, its.rows, strict=True)
+    ]
+    if speed := unusual_speed_m_s(frames):
+        reading.warn(
+            f"the camera moves at {speed:.0f} m/s: positions in another unit than metres (--scale "
+            "0.001 if in millimetres), or times that are not those of the images (--rate, --times)"
+        )
+    elif its.times.unit is not None and (jump := largest_jump(frames)):
+        reading.warn(f"{jump}: correct the poses, or leave these frames out")
 
 
 def _why_most(reading: Reading, images: RecordedImages, its: _Frames) -> str:
@@ -321,7 +340,12 @@ def _left_out(reading: Reading, images: RecordedImages, its: _Frames) -> list[Le
     return [replace(image, camera=reading.camera) for image in found]
 
 
-def _state_rectification(statements: Statements, rectified: Sequence[RectifiedRig]) -> None:
+def _state_rectification(
+    statements: Statements,
+    original: OriginalCamera,
+    rectified: Sequence[RectifiedRig],
+    most_view_deg: float,
+) -> None:
     left, right = rectified[0].left, rectified[0].right
     if left.is_identity:
         statements.state("rectified", "not needed: images are used as they are")
@@ -334,6 +358,13 @@ def _state_rectification(statements: Statements, rectified: Sequence[RectifiedRi
     if len(rectified) > 1:
         text += f", one pinhole camera for all {len(rectified)}"
     statements.state("rectified", text)
+    kept = min(camera.width / original.width, camera.height / original.height)
+    if len(rectified) == 1 and across < 0.99 * most_view_deg and kept < _LITTLE_LEFT:
+        statements.warnings.append(
+            f"only {camera.width}x{camera.height} pixels are left of the images of "
+            f"{original.width}x{original.height} after undistortion: check the lens model and its "
+            "coefficients"
+        )
 
 
 def _warn_of_lost_view(

@@ -7,6 +7,7 @@ DROID-SLAM's ``fx fy cx cy`` with or without ``k1 k2 p1 p2 k3``, and the first t
 point.
 """
 
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -70,9 +71,8 @@ def named_camera(
 
 def listed_camera(path: Path, size: Size | None) -> CalibrationFile | None:
     """Return the camera of a text file of numbers; None if it is none that is known."""
-    lines = [
-        line.split() for line in read_text(path).replace(",", " ").splitlines() if line.strip()
-    ]
+    text = re.sub(r"[,;\[\]]", " ", read_text(path))  # also a matrix as Python prints it
+    lines = [line.split() for line in text.splitlines() if line.strip()]
     if lines and not is_number(lines[0][0]) and len(lines) > 1:
         return _dso(path, lines[0], lines[1])
     words = [word for line in lines for word in line]

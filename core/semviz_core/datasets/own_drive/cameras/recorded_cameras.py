@@ -31,7 +31,7 @@ from semviz_core.datasets.own_drive.cameras.lens import LensModel, OriginalCamer
 from semviz_core.datasets.own_drive.images.image_files import (
     LeftOutImage,
     UnusableImages,
-    refuse_turned_or_dark,
+    refuse_dark,
     size_of_images,
     unusable_images,
 )
@@ -238,7 +238,7 @@ def _check_images(
     if (width, height) == (camera.width, camera.height):
         why = unusable_images(folder, names, (width, height))
         usable = [name for name in names if name not in why]
-        refuse_turned_or_dark(folder / usable[len(usable) // 2])
+        refuse_dark(folder / usable[len(usable) // 2])
         return tuple(
             (row, LeftOutImage(name, side, None, why[name]))
             for row, name in enumerate(names)

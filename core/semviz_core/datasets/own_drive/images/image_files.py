@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from struct import error, unpack_from
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -13,10 +14,9 @@ from semviz_core.base.frame import Side
 from semviz_core.common import limits
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.trajectory import MOST_LINES, read_text
+from semviz_core.datasets.trajectory import MOST_LINES, read_text, refuse_decimal_commas
 
 _VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".hevc", ".m4v", ".webm")
-_EXIF_BYTES = 2**12
 _DARK = 2**14
 """Images of 16 bits that are never brighter: of 12 bits or less."""
 _OTHERS = (".tif", ".tiff", ".webp", ".bmp", ".pgm", ".ppm", ".jp2", ".heic", ".exr")
@@ -31,6 +31,9 @@ _JPEG_START, _JPEG_SCAN, _PNG_START = b"\xff\xd8\xff", b"\xda", b"\x89PNG\r\n\x1
 _JPEG_END, _PNG_END = b"\xff\xd9", b"\0\0\0\0IEND\xaeB`\x82"
 _HEAD_BYTES, _TAIL_BYTES = 2**16, 2**10
 """Read of an image, to tell whether it is whole."""
+_EXIF = re.compile(rb"(?:Exif\0\0|eXIf)(?=(II\*\0)|MM\0\*)")
+"""Before the metadata of a camera, in a JPEG and a PNG; the first group says little-endian."""
+_ORIENTATION = 0x0112
 MOST_PAIR_S = 0.002
 """Between the images of a stereo pair; a car at 20 m/s moves 4 cm."""
 _NAMED_TIME = re.compile(r"(|.*[^\d.])([1-9]\d{9,}(?:\.\d+)?)")
@@ -188,6 +191,8 @@ def _names(path: Path) -> list[str]:
                 f"{folder}: a video; write its images first, all of them: ffmpeg -i {folder.name} "
                 "images/%06d.png"
             )
+        if folder.is_file():
+            raise SemvizError(f"{folder}: a file; name a folder of images, and unpack an archive")
         raise SemvizError(f"{folder}: no such folder of images; name another")
     if pattern.count("*") > 1:
         raise SemvizError(f"{path}: give one star, for what differs between images of a camera")
@@ -266,7 +271,14 @@ def _why_unusable(path: Path, size: tuple[int, int]) -> str:
         return "not readable"
     if found is None:
         return "damaged or cut off"
-    return "" if found == size else f"{found[0]}x{found[1]}, not {size[0]}x{size[1]}"
+    if found != size:
+        return f"{found[0]}x{found[1]}, not {size[0]}x{size[1]}"
+    if _is_stored_turned(limits.read_limited(path, limits.MOST_IMAGE_BYTES, _HEAD_BYTES)):
+        return (
+            "stored turned, with an EXIF orientation; turn the pixels of all images for good and "
+            f"calibrate these: mogrify -auto-orient *{path.suffix}"
+        )
+    return ""
 
 
 def size_of_whole_image(path: Path) -> tuple[int, int] | None:
@@ -294,17 +306,30 @@ def _has_jpeg_end(data: bytes) -> bool:
     return data.startswith(_JPEG_START) and data.find(_JPEG_END, place) > 0
 
 
-def refuse_turned_or_dark(path: Path) -> None:
-    """Raise SemvizError if an image is stored turned, or black when its upper 8 bits are shown.
+def _is_stored_turned(head: bytes) -> bool:
+    """Whether the EXIF orientation in the start of an image turns or mirrors it when decoded.
 
-    A calibration may be for turned pixels or not. Usual images are not decoded.
+    A calibration may be for turned pixels or not.
+    """
+    exif = _EXIF.search(head)
+    if exif is None:
+        return False
+    tiff, order = head[exif.end() :], "<" if exif[1] else ">"
+    try:
+        (place,) = unpack_from(f"{order}I", tiff, 4)
+        (count,) = unpack_from(f"{order}H", tiff, place)
+        entries = (unpack_from(f"{order}HHIH", tiff, place + 2 + 12 * row) for row in range(count))
+        return any(tag == _ORIENTATION and 2 <= value <= 8 for tag, _, _, value in entries)
+    except error:  # cut off: decoders find no orientation, either
+        return False
+
+
+def refuse_dark(path: Path) -> None:
+    """Raise SemvizError if an image is black when its upper 8 bits are shown.
+
+    Images of 8 bits are not decoded.
     """
     data = limits.read_limited(path, limits.MOST_IMAGE_BYTES)
-    if b"Exif" in data[:_EXIF_BYTES] and limits.is_turned(data, path):
-        raise SemvizError(
-            f"{path}: is stored turned, with an EXIF orientation; turn the pixels of all images "
-            "for good and calibrate these: mogrify -auto-orient *.jpg"
-        )
     brightest = limits.brightest_of_16_bits(data, path)
     if brightest is not None and brightest < _DARK:
         raise SemvizError(
@@ -349,13 +374,16 @@ def read_times(path: Path, names: Sequence[str], unit: TimeUnit | None) -> Image
     are numbers, of which the first is the time of the next image. Raise SemvizError if an image
     has none.
     """
-    lines = [
-        _fields(line)
+    written = [
+        line
         for line in read_text(path).splitlines()
         if line.strip() and not line.lstrip().startswith("#")
     ]
-    if lines and not any(map(is_number, lines[0])):
-        lines = lines[1:]  # the names of columns
+    for line in written:
+        refuse_decimal_commas(path, line)
+    lines = [_fields(line) for line in written]
+    if lines and not any(map(is_number, lines[0])) and not written[0].lstrip()[0].isdigit():
+        lines = lines[1:]  # the names of columns, unlike a date
     by_name = {}
     for row in lines:
         texts = [word for word in row if Path(word).suffix.lower() in SUFFIXES]
@@ -411,7 +439,7 @@ def in_seconds(
     """
     wrong = next((word for word in words if not is_number(word)), None)
     if wrong is not None:
-        raise SemvizError(f"{where}: {limits.shown(wrong, 40)!r} is not a time; repair it")
+        raise SemvizError(f"{where}: {limits.shown(wrong, 40)!r} is not a time; give a number")
     values = np.array([float(word) for word in words])
     if unit is None:
         first = float(np.abs(values).max()) if len(values) else 0.0

@@ -186,8 +186,14 @@ def read_image_times(reading: Reading, images: RecordedImages) -> ImageTimes:
             seconds = np.arange(len(names.left)) / files.rate_hz
             found = ImageTimes(seconds, f"unknown, counted as {files.rate_hz:g} images a second")
         times = found
-    if same := int((np.diff(np.sort(times.time_s)) == 0.0).sum()):
-        reading.warn(f"same time for different images, {same} times: repair {times.source}")
+    order = np.argsort(times.time_s, kind="stable")
+    same = np.flatnonzero(np.diff(times.time_s[order]) == 0.0)
+    if len(same):
+        first, second = (shown(names.left[order[same[0] + row]], 80) for row in (0, 1))
+        reading.warn(
+            f"{_images(len(same))} with the time of another one, such as {first} and {second}: "
+            f"repair {times.source}"
+        )
     unit = "" if times.unit is None else f", in {times.unit}"
     span = float(times.time_s[-1] - times.time_s[0])
     reading.state("times", f"{times.source}{unit}, {span:.1f} s")

@@ -89,7 +89,8 @@ def rotations_of(quaternions: FloatArray, order: QuaternionOrder, path: Path) ->
     wrong = np.flatnonzero((lengths < 0.99) | (lengths > 1.01))
     if len(wrong):
         raise SemvizError(
-            f"{path}, pose {wrong[0] + 1}: the quaternion has length {lengths[wrong[0]]:.3g}, not 1"
+            f"{path}, pose {wrong[0] + 1}: the quaternion has length {lengths[wrong[0]]:.3g}, not "
+            "1; correct it, or leave the pose out"
         )
     xyzw = quaternions if order == "xyzw" else np.roll(quaternions, -1, axis=1)
     return np.asarray(Rotation.from_quat(xyzw).as_matrix()).reshape(-1, 3, 3)

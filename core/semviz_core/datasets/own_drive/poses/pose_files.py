@@ -29,10 +29,15 @@ from semviz_core.datasets.own_drive.poses.conventions import (
 )
 from semviz_core.datasets.own_drive.poses.pose_tables import poses_of_columns
 from semviz_core.datasets.own_drive.poses.sensor_table import read_table
-from semviz_core.datasets.trajectory import MOST_LINES, read_text
+from semviz_core.datasets.trajectory import MOST_LINES, read_text, refuse_decimal_commas
 
 _HEAD = 1000
 """Characters of a file in which columns are named."""
+_NAMES = (
+    "name the columns in the first line: time_s,x_m,y_m,z_m,qx,qy,qz,qw, or of NCLT "
+    "time_us,northing,easting,down,roll_rad,pitch_rad,yaw_rad"
+)
+_EUROC_NAMES = ("p_RS_R", "q_RS")
 _WIDTHS = (8, 12, 13, 17)
 _LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 """Of a 4x4 matrix."""
@@ -60,14 +65,20 @@ def read_poses(
         if line.strip() and not line.lstrip().startswith("#")
     ]
     is_named = bool(lines) and not _is_number_or_image(lines[0][1][0])
+    names = lines[0][1] if is_named else []
     lines = lines[is_named:]
     if not lines:
         raise SemvizError(f"{path}: holds no poses; name another file with --poses")
+    refuse_decimal_commas(path, text.splitlines()[lines[0][0] - 1])
     if is_named or not _is_known(path, len(lines[0][1])):
         table = read_table(path, unit)
         found = None if table is None else poses_of_columns(table, quaternion)
         if found is not None:
             return found
+    if is_named and not any(name.startswith(_EUROC_NAMES) for name in names):
+        raise SemvizError(
+            f"{path}: poses with columns called {shown(', '.join(names), 80)}; {_NAMES}"
+        )
     return _of_width(path, text, lines, quaternion, unit)
 
 
@@ -131,8 +142,7 @@ def _of_width(
         return _of_matrices(path, lines, values, unit)
     raise SemvizError(
         f"{path}: {width} numbers a line; TUM has 8, KITTI 12, KITTI-360 13 or 17, EuRoC's CSV 17; "
-        "of others, name the columns in the first line: time_s,x_m,y_m,z_m,qx,qy,qz,qw, or of "
-        "NCLT time_us,northing,easting,down,roll_rad,pitch_rad,yaw_rad"
+        f"of others, {_NAMES}"
     )
 
 
@@ -191,7 +201,10 @@ def _line_numbers(path: Path, lines: list[tuple[int, list[str]]], width: int) ->
     for number, row in lines:
         wrong = next((word for word in row if not is_number(word)), None)
         if wrong is not None:
-            raise SemvizError(f"{path}, line {number}: {shown(wrong, 40)!r} is not a finite number")
+            raise SemvizError(
+                f"{path}, line {number}: {shown(wrong, 40)!r} is not a finite number; correct the "
+                "line, or delete it"
+            )
     return np.array([[float(word) for word in row] for _, row in lines]).reshape(-1, width)
 
 

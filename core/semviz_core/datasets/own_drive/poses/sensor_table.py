@@ -16,7 +16,7 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown, table_rows
 from semviz_core.datasets.own_drive.images.image_files import TimeUnit, in_seconds, is_number
 from semviz_core.datasets.own_drive.poses.json_table import json_cells
-from semviz_core.datasets.trajectory import read_text
+from semviz_core.datasets.trajectory import read_text, refuse_decimal_commas
 
 _COLUMNS = {
     "time": r"(header_)?(t|u?time|time_?stamp|stamp|utc|gps_?time)(_(s|ms|us|ns))?",
@@ -135,7 +135,9 @@ def _text_cells(path: Path) -> tuple[list[str], list[list[str]]]:
     (head,) = table_rows([_squeezed(first) if delimiter == " " else first], path, delimiter) or [[]]
     if not _places(head).keys() - _LABELS:
         return head, []
-    body = (line for line in lines[1:] if line[0] != "#")
+    body = [line for line in lines[1:] if line[0] != "#"]
+    if delimiter != "," and body:
+        refuse_decimal_commas(path, body[0])
     rows = table_rows(map(_squeezed, body) if delimiter == " " else body, path, delimiter)
     if not rows:
         raise SemvizError(f"{path}: has names of columns, and no line below; name another file")
