@@ -45,8 +45,8 @@ def with_carried_poses(
 ) -> list[FrameReference]:
     """Return all frames; those that are not ok, or that others contradict, with a carried pose.
 
-    Where poses do not reach all frames, assumptions are left open one by one: a wrong one ends a
-    track. Frames that no track reaches stay as they are. None has a true pose. ``odometry`` has the
+    Where poses reach few frames, assumptions are left open one by one: a wrong one ends a track.
+    Frames that no track reaches stay as they are. None has a true pose. ``odometry`` has the
     motion of each from the one before.
     """
     if all(step is None for step in odometry):
@@ -57,7 +57,7 @@ def with_carried_poses(
         steps = [None if step is None else assumption.step(step) for step in odometry]
         found = _carried(looser, steps)
         best = found if len(found) > len(best) else best
-        if len(best) == len(cases):
+        if len(best) >= ENOUGH * len(cases):
             break
     return [_posed(case, best.get(row)) for row, case in enumerate(cases)]
 
@@ -84,6 +84,8 @@ def _vague(step: Odometry) -> Odometry:
     return Odometry(step.T_now_before, WIDER**2 * step.covariance)
 
 
+ENOUGH = 0.5
+"""Share of frames with a pose from which on all assumptions are kept."""
 WIDER = 6.0
 """Factor on the sigmas of odometry that is left open."""
 ASSUMPTIONS = (

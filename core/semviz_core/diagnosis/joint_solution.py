@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from semviz_core.base.frame import Odometry, Prior, adjoint
+from semviz_core.base.frame import Odometry, Prior
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.diagnosis.reference import FrameReference
@@ -22,8 +23,9 @@ from semviz_core.tracking.association import pair_rows
 
 MOST_CHI2 = 25.0
 """Squared residuals of one detection (sigmas) count up to this."""
-_GATES = (64.0, 32.0, 16.0, 16.0, 16.0)
-"""Squared residuals of a detection beyond which it is down-weighted, per iteration."""
+_GATES, _LATER_GATES = (64.0, 32.0, 16.0, 16.0, 16.0), (64.0, 16.0, 16.0)
+"""Squared residuals of a detection beyond which it is down-weighted, per iteration: of the first
+fit, and of one that starts from another."""
 LEAST_M2 = 1e-10
 """Keeps the covariance of a map that is said to be perfect invertible."""
 LOOSE = 1e-9
@@ -110,7 +112,7 @@ def fitted(
         poses, errors = start.poses, start.errors
     value, of_poses = np.zeros(len(steps)), 6 * len(poses)
     last = of_poses + errors.size
-    for gate in _GATES:
+    for gate in _GATES if start is None else _LATER_GATES:
         now = change(measured, value)
         blocks = _blocks(now, poses, errors)
         others = [
@@ -163,7 +165,7 @@ class _Block(NamedTuple):
         places = self.columns[:, :, None] * size + self.columns[:, None, :]
         products = (turned @ self.jacobian).ravel()
         information += np.bincount(places.ravel(), products, size**2).reshape(size, size)
-        sums = (turned @ self.residual[..., None]).ravel()
+        sums = _applied(turned, self.residual).ravel()
         gradient += np.bincount(self.columns.ravel(), sums, size)
 
 
@@ -201,7 +203,7 @@ def _changed(
 def _detections(measured: Measured, poses: Sequence[Pose], errors: FloatArray) -> _Block:
     parts = list(_pair_parts(measured, poses))
     residual, by_pose, by_error = (np.concatenate(part) for part in zip(*parts, strict=True))
-    residual = residual + (by_error @ errors[measured.element][..., None])[..., 0]
+    residual = residual + _applied(by_error, errors[measured.element])
     frame = np.repeat(np.arange(len(poses)), [len(pairs) for pairs in measured.pairs])
     first = np.stack([6 * frame, 6 * len(poses) + 6 * measured.element], axis=1)
     columns = (first[:, :, None] + np.arange(6)).reshape(-1, 12)
@@ -233,15 +235,35 @@ def _priors(measured: Measured, poses: Sequence[Pose]) -> _Block:
 
 
 def _odometry(measured: Measured, poses: Sequence[Pose]) -> _Block:
-    count = len(measured.steps)
-    residual, jacobian = np.zeros((count, 6)), np.zeros((count, 6, 12))
-    for row, (k, step) in enumerate(measured.steps):
-        motion = poses[k + 1] @ poses[k].inverse()
-        white = np.linalg.inv(np.linalg.cholesky(step.covariance))
-        residual[row] = white @ (step.T_now_before @ motion.inverse()).log()
-        jacobian[row] = np.hstack([white @ adjoint(motion), -white])
-    first = 6 * np.array([k for k, _ in measured.steps], dtype=np.int64)
-    return _Block(residual, jacobian, first[:, None] + np.arange(12))
+    if not measured.steps:
+        return _Block(np.zeros((0, 6)), np.zeros((0, 6, 12)), np.zeros((0, 12), dtype=np.int64))
+    numbers, steps = zip(*measured.steps, strict=True)
+    row = np.array(numbers)
+    R, t = _stacked(poses)
+    R_step, t_step = _stacked([step.T_now_before for step in steps])
+    turn = R[row + 1] @ np.swapaxes(R[row], 1, 2)
+    motion = t[row + 1] - _applied(turn, t[row])
+    off = R_step @ np.swapaxes(turn, 1, 2)
+    rotvec, shift = Rotation.from_matrix(off).as_rotvec(), t_step - _applied(off, motion)
+    across = np.cross(rotvec, shift)
+    shift = shift - 0.5 * across + np.cross(rotvec, across) / 12.0  # logarithm, of small angles
+    by_before = np.zeros((len(row), 6, 6))  # adjoint
+    by_before[:, :3, :3] = by_before[:, 3:, 3:] = turn
+    by_before[:, :3, 3:] = np.cross(motion[:, None], np.swapaxes(turn, 1, 2)).swapaxes(1, 2)
+    white = np.linalg.inv(np.linalg.cholesky(np.stack([step.covariance for step in steps])))
+    residual = _applied(white, np.hstack([shift, rotvec]))
+    columns = 6 * row[:, None] + np.arange(12)
+    return _Block(residual, np.concatenate([white @ by_before, -white], axis=2), columns)
+
+
+def _stacked(poses: Sequence[Pose]) -> tuple[FloatArray, FloatArray]:
+    """Return rotations (n, 3, 3) and translations (n, 3)."""
+    return np.stack([pose.rotation for pose in poses]), np.stack([p.translation for p in poses])
+
+
+def _applied(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return the products (n, r) of matrices (n, r, c) and vectors (n, c)."""
+    return np.asarray((matrices @ vectors[..., None])[..., 0])
 
 
 def _costs(measured: Measured, blocks: Sequence[_Block]) -> FloatArray:

@@ -117,7 +117,7 @@ def _common(
     cases: Sequence[FrameReference], odometry: Sequence[Odometry | None], watch: ProgressCallback
 ) -> _Common:
     """Return what frames have in common against their true poses."""
-    positions = _with_pose(cases)
+    positions = [position for position, case in enumerate(cases) if case.truth is not None]
     compared = [cases[position] for position in positions]
     calibration: RunFault | None = None
     causes: list[RunFault] = []
