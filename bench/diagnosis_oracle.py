@@ -1,9 +1,9 @@
 """What an oracle names in a run without true poses: no test that knows less can name more.
 
 It knows all true correspondences, starts at the true poses, and knows the kind that it has to tell
-from none. Poses are unknown to it as to any test: what they can follow is no evidence. A kind is
-named from 3 nats on (BIC), odds of 20 to 1. A wrong extrinsic and a time offset change nothing but the
-true poses, which are not given. A rolled mounting turns gravity as a wrong gravity prior does.
+from none. Poses are unknown to it as to any test: what they can follow is no evidence. It names a
+kind from 3 nats on (BIC), odds of 20 to 1. A wrong extrinsic and a time offset change nothing but
+the true poses, which are not given. A rolled mounting turns gravity as a wrong gravity prior does.
 Faults of single elements are named as with true poses and ids.
 """
 
