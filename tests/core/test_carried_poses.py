@@ -110,4 +110,4 @@ def test_runs_with_two_sure_frames_name_their_odometry() -> None:
     frames = [(result, None) for result in few_ok(run)]
     found = diagnose_run(frames, run.semantic_map, DETECTOR, odometry=run.odometry)
     assert found.causes[0].kind == "wrong odometry"
-    assert "fitted together" in found.causes[0].sentence
+    assert found.causes[0].sentence.startswith("The odometry is wrong: it ")

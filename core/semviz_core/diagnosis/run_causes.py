@@ -77,10 +77,10 @@ def joint_fault(
     if best.cause.kind == "wrong gravity prior":
         rivals["wrong calibration"] = "the camera is mounted rolled"
     size = float(best.value[np.argmax(np.abs(best.value))]) * best.cause.in_unit
+    shown = f"{len(rows)} frames show it, fitted together."
     return RunFault(
         best.cause.kind,
-        f"{len(rows)} frames, fitted together with their odometry, show it: {_joint_size(best)}."
-        + _rivals_sentence(list(rivals.values())),
+        f"{_joint_size(best)}.{_rivals_sentence(list(rivals.values()))} {shown}",
         (
             EvidenceItem("frames", len(rows)),
             EvidenceItem(best.cause.name, size, best.cause.unit),
@@ -92,18 +92,21 @@ def joint_fault(
 
 
 def _joint_size(fit: JointFit) -> str:
+    """Return the cause with its size, as people read it."""
+    kind, name, unit = fit.cause.kind, fit.cause.name, fit.cause.unit
     values = fit.value * fit.cause.in_unit
-    for k, (name, _, _) in enumerate(DRIFTS):
-        if fit.cause.name == name:
-            return f"the odometry is wrong, {drift_sentence(k, float(values[0]))}"
-    if fit.cause.kind == "wrong detection sigma":
-        return f"the detections are about {values[0]:.1f} times less accurate than they state"
-    if fit.cause.kind in ("wrong heading prior", "wrong height prior"):
-        return f"the {fit.cause.name} prior is {abs(values[0]):.1f} {fit.cause.unit} off in all"
-    if fit.cause.kind == "wrong gravity prior":
-        return f"gravity is rolled by {values[0]:+.1f} deg in all of them"
-    down = f" across and {values[-1]:+.1f} {fit.cause.unit} down" if len(values) > 1 else ""
-    return f"an error of {values[0]:+.1f} {fit.cause.unit}{down} in {fit.cause.name}"
+    size = abs(float(values[0]))
+    for k, (drift, _, _) in enumerate(DRIFTS):
+        if name == drift:
+            return f"The odometry is wrong: {drift_sentence(k, float(values[0]))}"
+    if kind == "wrong detection sigma":
+        return f"The detections are about {size:.1f} times less accurate than they state"
+    if kind == "wrong gravity prior":
+        return f"The gravity prior is rolled by {size:.1f} deg"
+    if kind in ("wrong heading prior", "wrong height prior"):
+        return f"The {name} prior is {size:.1f} {unit} off"
+    down = f" across and {values[-1]:+.1f} {unit} down" if len(values) > 1 else ""
+    return f"The {name} is off by {values[0]:+.1f} {unit}{down}"
 
 
 def _assumptions(case: FrameReference) -> tuple[Fault, ...]:
