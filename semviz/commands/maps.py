@@ -73,7 +73,7 @@ class MapBuildCommand:
         from semviz.reports.pose_check import review_as_dict, review_lines
         from semviz.workspace.observations import read_detections
         from semviz.workspace.outputs import PARQUET, check_outputs
-        from semviz.workspace.pose_review import pose_errors, with_used_poses
+        from semviz.workspace.poses.pose_review import pose_errors, with_used_poses
         from semviz_annotation.mapping.build import DEFAULT_TRACKING, build_map
         from semviz_core.base.map_file import save_map
         from semviz_core.common.jit import Stopwatch
@@ -196,7 +196,7 @@ class MapCheckCommand:
 
         from semviz.reports.pose_check import review_as_dict, review_lines
         from semviz.workspace.observations import read_labels_of
-        from semviz.workspace.pose_review import pose_change
+        from semviz.workspace.poses.pose_review import pose_change
         from semviz_annotation.mapping.quality.check import Gate, check_map
 
         workspace = parsing.open_workspace(self.workspace)
@@ -282,8 +282,9 @@ class MapLocalizabilityCommand:
 
     def run(self) -> int:
         from semviz.presentation.terminal import announce_compiling, track
-        from semviz.workspace import localizability, outputs
+        from semviz.workspace import outputs
         from semviz.workspace.chosen_frames import check_map_frame, select_frames
+        from semviz.workspace.localization import localizability
         from semviz_core.localizability.predict import predict
 
         if self.plot is not None:
@@ -312,8 +313,8 @@ def _conditions(
 ) -> "Conditions":
     """Return the conditions of ``semviz localize``, with the recall of the labels if there are
     any."""
-    from semviz.workspace.localizability import conditions_of, with_measured_recall
-    from semviz.workspace.localize import CROP_RADIUS_M, LocalizeOptions
+    from semviz.workspace.localization.localizability import conditions_of, with_measured_recall
+    from semviz.workspace.localization.localize import CROP_RADIUS_M, LocalizeOptions
     from semviz.workspace.observations import observe_labels
 
     kind = workspace.default_observations
