@@ -11,13 +11,16 @@ times: with the true pose and element ids, with the true pose alone, and without
 The named kind is the diagnosis of a failed frame, or the first secondary fault of a healthy one. It
 is right if it is the planted kind, of the planted element or detection; *one of two* is
 not. A number in the row ``healthy`` outside its column is a false alarm; as these are rare, there
-are ten times as many healthy frames. A run is right only if all its faults are planted.
+are ten times as many healthy frames. A run is right only if all its faults are planted. Beside runs
+without ground truth stands what an oracle names (bench/diagnosis_oracle.py).
 """
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import get_args
 
+import diagnosis_oracle
 import numpy as np
 import tests_support  # noqa: F401
 import tyro
@@ -66,6 +69,8 @@ class Options:
     """Frames of the runs."""
     run_kinds: tuple[FaultKind, ...] = RUN_KINDS
     """What is planted in runs, beside nothing."""
+    known: tuple[GroundTruthLevel, ...] = get_args(GroundTruthLevel)
+    """Of runs."""
     fix_sigma_m: float | None = None
     """Accuracy of the position priors of runs: then they are the stated poses with this error."""
     first_seed: int = 1000
@@ -110,9 +115,8 @@ def print_frames(options: Options) -> None:
 
 def print_runs(options: Options, count: int, runs: int) -> None:
     roads = [simulated_road(options.first_seed + k) for k in range(ROADS)]
-    found: dict[GroundTruthLevel, Counts] = {
-        argument: {} for argument in get_args(GroundTruthLevel)
-    }
+    found: dict[GroundTruthLevel, Counts] = {knowledge: {} for knowledge in options.known}
+    oracle: dict[FaultKind, float] = {}
     for fault in dict.fromkeys(("healthy", *options.run_kinds)):
         drives = []
         seed = options.first_seed
@@ -123,8 +127,12 @@ def print_runs(options: Options, count: int, runs: int) -> None:
             seed += 1
         for knowledge, counts in found.items():
             counts[fault] = Counter(named_in_run(drive, knowledge) for drive in drives)
+        if "nothing" in options.known:
+            oracle[fault] = float(np.mean([is_named_by_oracle(drive) for drive in drives]))
+        print(f"{fault}: {count} frames done", flush=True)
     for knowledge, counts in found.items():
-        print_matrix(f"{runs} runs of {count} frames, told with: {knowledge}", counts)
+        title = f"{runs} runs of {count} frames, told with: {knowledge}"
+        print_matrix(title, counts, oracle if knowledge == "nothing" else None)
 
 
 def told(truth: GroundTruth, knowledge: GroundTruthLevel) -> GroundTruth | None:
@@ -183,7 +191,19 @@ def named_in_run(planted_run: PlantedRun, knowledge: GroundTruthLevel) -> str:
     return diagnosis.elements[0].kind if diagnosis.elements else "healthy"
 
 
-def print_matrix(title: str, counts: Counts) -> None:
+def is_named_by_oracle(drive: PlantedRun) -> bool:
+    """Whether an oracle names a run's fault without true poses; of a healthy run, no fault."""
+    if drive.fault == "healthy":
+        found = [diagnosis_oracle.nats(drive, kind) for kind in diagnosis_oracle.KINDS]
+        return max(found) < diagnosis_oracle.NAMED_NATS
+    if drive.fault in diagnosis_oracle.KINDS:
+        return diagnosis_oracle.nats(drive, drive.fault) >= diagnosis_oracle.NAMED_NATS
+    return named_in_run(drive, "pose and ids") == drive.fault
+
+
+def print_matrix(
+    title: str, counts: Counts, oracle: Mapping[FaultKind, float] | None = None
+) -> None:
     columns = [
         argument for argument in (*get_args(FaultKind), ONE_OF_TWO, "another one")
         if any(counts[fault][argument] for fault in counts)
@@ -192,11 +212,13 @@ def print_matrix(title: str, counts: Counts) -> None:
         f"\n{title}\n{'planted':<22}"
         + "".join(f"{short(column):>7}" for column in columns)
         + "   right"
+        + "  oracle" * bool(oracle)
     )
     for fault, row in counts.items():
         cells = "".join(f"{row[column] or '.':>7}" for column in columns)
         share = row[fault] / row.total()
-        print(f"{fault:<22}{cells}{share:>8.1%}")
+        beside = f"{oracle[fault]:>8.1%}" if oracle else ""
+        print(f"{fault:<22}{cells}{share:>8.1%}{beside}")
     planted = [row[fault] / row.total() for fault, row in counts.items() if fault != "healthy"]
     undecided = [
         row[UNDECIDED] / row.total() if fault in MEANS else 0.0
@@ -209,6 +231,9 @@ def print_matrix(title: str, counts: Counts) -> None:
         f"{sum(either) / len(either):.1%}, and left open between false, missing and "
         f"moved {sum(undecided) / len(planted):.1%}; alarms on healthy ones {alarms:.1%}"
     )
+    if oracle:
+        best = [share for fault, share in oracle.items() if fault != "healthy"]
+        print(f"an oracle names {sum(best) / len(best):.1%}")
 
 
 def short(kind: str) -> str:

@@ -169,7 +169,7 @@ def measure(path: Path, browser: Browser) -> None:
             page.add_init_script(script)
         story_s = _seconds(page, at(url, ""), "document.querySelector('#story-causes .cause')")
         story_mb, hung_ms = _own_mb(server), page.evaluate("window.longest")
-        image_s = _seconds(page, at(url, "?view=frame"), "window.shown.length > 0")
+        image_s = _seconds(page, at(url, "?show=frame"), "window.shown.length > 0")
         print(
             f"  serve ready in {start_s:.1f} s; first page {story_s:.2f} s, frame {image_s:.2f} s"
         )

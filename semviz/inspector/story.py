@@ -19,6 +19,7 @@ from semviz.runs.story import (
     RunStory,
     counts_by_status,
     frames_text,
+    kinds_text,
     stretches,
 )
 from semviz.web.protocol import handles
@@ -98,7 +99,8 @@ def story_view(story: RunStory) -> StoryView:
 
 
 def _harmless_view(story: RunStory, fault: RunFault) -> StoryCause:
-    return _cause_view(story, Cause(fault.kind, fault.sentence, fault.frames, is_of_run=True))
+    kinds = kinds_text(fault)
+    return _cause_view(story, Cause(kinds, fault.sentence, fault.frames, is_of_run=True))
 
 
 def _cause_view(story: RunStory, cause: Cause) -> StoryCause:

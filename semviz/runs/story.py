@@ -32,7 +32,7 @@ class Cause:
     """What explains some of the wrong frames."""
 
     kind: str
-    """A kind of fault, or a name of a diagnosis."""
+    """A kind of fault, also kinds that the run cannot tell apart, or a name of a diagnosis."""
     sentence: str
     frames: tuple[int, ...]
     """Positions of the wrong frames that it explains, in order."""
@@ -99,10 +99,15 @@ class RunStory:
             f"{cause.kind.capitalize()}: {frames_text(self.run, cause.frames)}."
             for cause in self.causes[:2]
         ]
-        if kinds := Counter(fault.kind for fault in self.harmless):
+        if kinds := Counter(kinds_text(fault) for fault in self.harmless):
             named = (f"{number} {kind}" if number > 1 else kind for kind, number in kinds.items())
             told.append(f"Also found, without a wrong frame of its own: {', '.join(named)}.")
         return " ".join(told)
+
+
+def kinds_text(fault: RunFault) -> str:
+    """Return the kind of a fault with those that the run cannot tell from it."""
+    return " or ".join((fault.kind, *fault.rivals))
 
 
 def tell(run: Run, diagnosis: RunDiagnosis | None) -> RunStory:
@@ -195,12 +200,12 @@ def _causes(run: Run, diagnosis: RunDiagnosis | None, is_wrong: BoolArray) -> tu
     if diagnosis is not None and diagnosis.calibration is not None:
         fault = diagnosis.calibration
         if names:
-            causes.append(Cause(fault.kind, fault.sentence, tuple(names), is_of_run=True))
+            causes.append(Cause(kinds_text(fault), fault.sentence, tuple(names), is_of_run=True))
         names = {}
     for fault, frames in sorted(explained, key=lambda pair: -len(pair[1])):
         left = tuple(position for position in frames if position in names)
         if left:
-            causes.append(Cause(fault.kind, fault.sentence, left, is_of_run=True))
+            causes.append(Cause(kinds_text(fault), fault.sentence, left, is_of_run=True))
             for position in left:
                 del names[position]
     causes.extend(_by_name(run, names))

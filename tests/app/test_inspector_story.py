@@ -93,6 +93,15 @@ def test_a_cause_of_the_whole_run_takes_the_frames_that_it_explains_from_their_o
     assert story.harmless == ()
 
 
+def test_one_of_two_causes_is_told_with_the_other() -> None:
+    run = lost_run()
+    rolled = RunFault(
+        "wrong gravity prior", "Rolled by 2 deg.", frames=(1, 2, 4), rivals=("wrong calibration",)
+    )
+    story = tell(run, RunDiagnosis(None, (), len(run.frames), (rolled,)))
+    assert "Wrong gravity prior or wrong calibration explains the other 3" in story.headline
+
+
 def test_a_cause_that_makes_no_frame_wrong_is_told_after_the_others() -> None:
     run = lost_run()
     mount = RunFault("wrong extrinsic", "The camera is mounted 0.6 m right.", frames=(0, 3, 5))

@@ -12,10 +12,11 @@ from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
 from semviz_core.diagnosis.carried_poses import with_carried_poses
 from semviz_core.diagnosis.fault import FaultKind
-from semviz_core.diagnosis.joint_fit import JointFit, joint_fits
+from semviz_core.diagnosis.joint_fit import NEEDED_FRAMES, JointFit, joint_fits
 from semviz_core.diagnosis.reference import FrameReference, is_near, pose_distance
 from semviz_core.diagnosis.run import diagnose_run
 from semviz_core.research.evaluation.problems import DETECTOR, default_road
+from semviz_core.research.evaluation.roads import simulated_road
 
 OK = (0, 1)
 """Frames of a drive that keep their own poses; the others lose them."""
@@ -110,4 +111,20 @@ def test_runs_with_two_sure_frames_name_their_odometry() -> None:
     frames = [(result, None) for result in few_ok(run)]
     found = diagnose_run(frames, run.semantic_map, DETECTOR, odometry=run.odometry)
     assert found.causes[0].kind == "wrong odometry"
-    assert "fitted together" in found.causes[0].sentence
+    assert found.causes[0].sentence.startswith("The odometry is wrong: it ")
+
+
+@pytest.mark.parametrize(
+    ("fault", "seed"), [("wrong detection sigma", 2023), ("wrong heading prior", 2022)]
+)
+def test_a_wrong_assumption_does_not_keep_poses_from_being_carried(
+    fault: FaultKind, seed: int
+) -> None:
+    """As stated, a track of these frames finds no pose: it starts again without the assumption."""
+    run = plant_in_run(fault, seed, simulated_road(2000 + seed % 8))
+    assert run is not None
+    results = [result for result, _ in run.frames]
+    assert sum(result.status == "ok" for result in results) < NEEDED_FRAMES
+    frames = [(result, None) for result in results]
+    found = diagnose_run(frames, run.semantic_map, DETECTOR, odometry=run.odometry)
+    assert [cause.kind for cause in found.causes] == [fault]

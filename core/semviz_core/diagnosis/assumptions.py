@@ -191,14 +191,6 @@ def solved_without_heading(case: FrameReference) -> FrameReference:
     return replace(case, localization=again)
 
 
-def heading_fault(prior: Prior, again: Localization) -> Fault | None:
-    """Return the fault of a heading prior, if a pose found without it is too far from it."""
-    if prior.heading_rad is None or again.T_camera_map is None:
-        return None
-    test = _innovation(HEADING, prior, again)
-    return test.fault if test.is_fault else None
-
-
 def _given_parts(case: FrameReference) -> tuple[PriorPart, ...]:
     prior = case.localization.prior
     return () if prior is None else tuple(part for part in PRIOR_PARTS if part.is_given(prior))

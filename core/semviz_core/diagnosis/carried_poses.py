@@ -7,10 +7,12 @@ if odometry joins it to another one where both say they are. Stretches without s
 tracked with their priors, as a sequence.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from semviz_core.base.frame import Belief, Odometry
+from semviz_core.diagnosis.assumptions import solve_with_sigma, solved_without_heading
+from semviz_core.diagnosis.frame_causes import with_sigma_scaled
 from semviz_core.diagnosis.reference import (
     FrameReference,
     ProgressCallback,
@@ -43,20 +45,70 @@ def with_carried_poses(
 ) -> list[FrameReference]:
     """Return all frames; those that are not ok, or that others contradict, with a carried pose.
 
-    Frames that no track reaches stay as they are. None has a true pose. ``odometry`` has the motion
-    of each from the one before.
+    Where poses reach few frames, assumptions are left open one by one: a wrong one ends a track.
+    Frames that no track reaches stay as they are. None has a true pose. ``odometry`` has the
+    motion of each from the one before.
     """
+    if all(step is None for step in odometry):
+        return list(cases)
+    best: dict[int, Belief] = {}
+    for assumption in ASSUMPTIONS:
+        looser = [assumption.frame(case) for case in watch(cases, assumption.name, len(cases))]
+        steps = [None if step is None else assumption.step(step) for step in odometry]
+        found = _carried(looser, steps)
+        best = found if len(found) > len(best) else best
+        if len(best) >= ENOUGH * len(cases):
+            break
+    return [_posed(case, best.get(row)) for row, case in enumerate(cases)]
+
+
+@dataclass(frozen=True)
+class _Assumption:
+    """What is left open while poses are carried."""
+
+    name: str
+    frame: Callable[[FrameReference], FrameReference] = lambda case: case
+    step: Callable[[Odometry], Odometry] = lambda step: step
+
+
+def _with_sigma(factor: float) -> Callable[[FrameReference], FrameReference]:
+    def solved(case: FrameReference) -> FrameReference:
+        if case.localization.prior is None:  # the whole map would be searched
+            return with_sigma_scaled(case, factor)
+        return replace(case, localization=solve_with_sigma(case, factor))
+
+    return solved
+
+
+def _vague(step: Odometry) -> Odometry:
+    return Odometry(step.T_now_before, WIDER**2 * step.covariance)
+
+
+ENOUGH = 0.5
+"""Share of frames with a pose from which on all assumptions are kept."""
+WIDER = 6.0
+"""Factor on the sigmas of odometry that is left open."""
+ASSUMPTIONS = (
+    _Assumption("carrying poses by odometry"),
+    _Assumption("carrying poses without headings", solved_without_heading),
+    _Assumption("carrying poses with larger sigmas", _with_sigma(2.0)),
+    _Assumption("carrying poses with the largest sigmas", _with_sigma(4.0)),
+    _Assumption("carrying poses by vague odometry", step=_vague),
+)
+
+
+def _carried(
+    cases: Sequence[FrameReference], odometry: Sequence[Odometry | None]
+) -> dict[int, Belief]:
+    """Return the poses of all frames that a track reaches, by row."""
     own = {row: belief for row, case in enumerate(cases) if (belief := _own(case)) is not None}
-    watched = watch(cases, "carrying poses by odometry", len(cases))
-    known = {row: own[row] for row in _agreeing(own, _tracked(watched, odometry, own))}
+    known = {row: own[row] for row in _agreeing(own, _tracked(cases, odometry, own))}
     for rows in _stretches(odometry):
         if not known.keys() & set(rows):
             known |= _searched(cases, odometry, rows)
     tracks = _tracked(cases, odometry, known), _tracked_back(cases, odometry, known)
-    return [
-        case if row in known and row in own else _posed(case, _best(row, known, tracks))
-        for row, case in enumerate(cases)
-    ]
+    found = {row: _best(row, known, tracks) for row in range(len(cases))}
+    return {row: belief for row, belief in found.items() if belief is not None}
 
 
 def _own(case: FrameReference) -> Belief | None:

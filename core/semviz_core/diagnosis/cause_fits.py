@@ -1,9 +1,8 @@
-"""Find the one cause that explains the residuals of all frames of a run.
+"""Find the one cause that explains the residuals of all frames of a run at their true poses.
 
 Every cause is fitted to all pairs of the run by reweighted least squares, and the likeliest is
 named (BIC). Its gain must remain without the element that it helps most, so that one moved element
-is no common cause. Without true poses only the calibration is tested, since the poses absorb the
-other causes; each frame's pose is then marginalized.
+is no common cause. Runs without true poses are told by `joint_fit`.
 """
 
 from collections import defaultdict
@@ -30,12 +29,8 @@ from semviz_core.diagnosis.reference import (
 )
 
 NEEDED_PAIRS = 8
-LEAST_NATS, LEAST_NATS_WITHOUT_TRUTH = 20.0, 8.0
-"""Log-likelihood that a cause must add, beyond its parameters and without its best element. Poses
-of the images themselves absorb most of what is by chance."""
-LEAST_SIGMAS = 2.0
-"""Standard deviations, over the elements, that what a cause adds without true poses must be above
-zero: frames that see one element again repeat the error of its mapped position."""
+LEAST_NATS = 20.0
+"""Log-likelihood that a cause must add, beyond its parameters and without its best element."""
 RIVAL_NATS = 6.0
 """Causes closer than this cannot be told apart."""
 LEAST_HELPED = 0.5
@@ -104,9 +99,7 @@ class CauseFit:
 
 def _costs(rows: CauseRows, scale: float, with_ids: bool) -> FloatArray:
     """Return (m,) half of the squared residuals of each detection, up to a limit."""
-    mine = rows.detection >= 0
-    squares = rows.residual[mine] ** 2
-    chi2 = np.bincount(rows.detection[mine], squares, minlength=len(rows.element))
+    chi2 = np.bincount(rows.detection, rows.residual**2, minlength=len(rows.element))
     if not with_ids:  # the wrong pose leaves detections without a pair
         chi2 = np.where(rows.element < 0, np.inf, chi2)
     return np.asarray(0.5 * np.minimum(chi2 / scale**2, MOST_CHI2))
@@ -123,18 +116,12 @@ class RatedCause:
     """The same without the element that it helps most."""
     helped: float
     """Share of the frames that are likelier with it."""
-    sigmas: float
-    """``nats`` in standard deviations of the sum over elements."""
 
     @property
     def is_fault(self) -> bool:
         if self.helped < LEAST_HELPED:
             return False
-        with_truth = self.fit.frames.has_truth
-        if not with_truth and self.sigmas < LEAST_SIGMAS:
-            return False
-        least = LEAST_NATS if with_truth else LEAST_NATS_WITHOUT_TRUTH
-        return self.nats_without_best > least and _is_large(self.fit)
+        return self.nats_without_best > LEAST_NATS and _is_large(self.fit)
 
 
 def common_cause(
@@ -162,14 +149,11 @@ def rated_causes(
     frames = FittedFrames(cases)
     if not frames.fitted:
         return []
-    causes: tuple[CommonCause, ...] = (*MISALIGNMENTS, *CALIBRATIONS)
-    if not frames.has_truth:  # a roll of the mounting looks like a wrong gravity prior
-        causes = tuple(cause for cause in causes if cause.camera is not None)
     nothing = CauseFit.of(CALIBRATIONS[-1], frames, np.zeros(1))
     seen = watch([cases[row] for row in frames.fitted], "testing common causes", len(frames.fitted))
     images = [image_pose(case) for case in seen]
     offsets = [None if image is None else image.offset for image in images]
-    fits = [_best_fit(cause, frames, offsets) for cause in causes]
+    fits = [_best_fit(cause, frames, offsets) for cause in (*MISALIGNMENTS, *CALIBRATIONS)]
     scale = min(fit.scale for fit in fits)
     pairs = max(fit.pairs for fit in fits)
     if pairs < NEEDED_PAIRS:
@@ -220,8 +204,7 @@ def _rated(fit: CauseFit, nothing: CauseFit, scale: float, pairs: int) -> RatedC
     changed = [gain for gain in by_frame if gain]
     helped = sum(gain > 0.0 for gain in changed) / max(len(changed), 1)
     without_best = nats - max(gains.values(), default=0.0)
-    deviation = float(np.linalg.norm(list(gains.values())))
-    return RatedCause(fit, nats, without_best, helped, nats / deviation if deviation else 0.0)
+    return RatedCause(fit, nats, without_best, helped)
 
 
 def _is_large(fit: CauseFit) -> bool:

@@ -18,10 +18,8 @@ from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.diagnosis.fault import FaultKind
 from semviz_core.diagnosis.reference import FrameReference, pair_errors
 from semviz_core.localization.association import associate
-from semviz_core.localization.prior_residuals import MOST_ROWS, prior_rows
-from semviz_core.localization.problem import PoseProblem, PriorRecord
+from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.search import REFINED_COVARIANCE
-from semviz_core.localization.upright import assumed_upright
 
 MOST_FRAMES = 60
 """Frames that are fitted, evenly spread over a longer run."""
@@ -39,10 +37,6 @@ class FittedFrames:
         step = max(1, -(-len(cases) // MOST_FRAMES))
         rows = range(0, len(cases), step)
         self.fitted = [row for row in rows if len(cases[row].localization.observed)]
-
-    @cached_property
-    def has_truth(self) -> bool:
-        return all(case.truth is not None for case in self.cases)
 
     @cached_property
     def middle_m(self) -> FloatArray:
@@ -165,7 +159,7 @@ class CauseRows:
     jacobian: FloatArray
     """(r, p) by the parameters of the cause."""
     detection: IntArray
-    """(r,) observed row; -1 for rows of the prior."""
+    """(r,) observed row."""
     element: IntArray
     """(m,) id of the element that is paired with each detection; -1 for none."""
 
@@ -173,14 +167,13 @@ class CauseRows:
 def cause_rows(frames: FittedFrames, row: int, cause: CommonCause, value: FloatArray) -> CauseRows:
     """Return the residuals of a frame with parameters (p,) of a cause.
 
-    Pairs are the true ones if known, else those that fit. If the true pose is unknown, the rows
-    are those that no pose explains, with the prior.
+    Pairs are the true ones if known, else those that fit.
     """
     case, reference = frames.cases[row], frames.pose(row)
     offset = None if cause.offset is None else cause.offset(frames, row, value)
     pose = reference if offset is None else offset.T_true_reference @ reference
     problem = _problem(case, cause, value)
-    pairs = _pairs(case, problem if case.truth is not None else case.problem, pose)
+    pairs = _pairs(case, problem, pose)
     residual, by_pose, detection = _whitened(problem, pose, pairs)
     if offset is not None:
         by_value = by_pose @ offset.by_value
@@ -191,8 +184,7 @@ def cause_rows(frames: FittedFrames, row: int, cause: CommonCause, value: FloatA
         ])  # fmt: skip
     element = np.full(len(case.localization.observed), -1)
     element[pairs[:, 0]] = case.nearby.id[pairs[:, 1]]
-    rows = CauseRows(residual, by_value, detection, element)
-    return rows if case.truth is not None else _without_pose(case, reference, by_pose, rows)
+    return CauseRows(residual, by_value, detection, element)
 
 
 def _problem(case: FrameReference, cause: CommonCause, value: FloatArray) -> PoseProblem:
@@ -221,20 +213,3 @@ def _whitened(
     jacobian = np.linalg.solve(factor, errors.by_pose)
     detection = np.broadcast_to(pairs[:, :1], errors.counted.shape)
     return residual[errors.counted], jacobian[errors.counted], detection[errors.counted]
-
-
-def _without_pose(
-    case: FrameReference, pose: Pose, by_pose: FloatArray, rows: CauseRows
-) -> CauseRows:
-    """Append the rows of the prior, and project orthogonally to the Jacobian of the pose."""
-    prior, slope = np.zeros(MOST_ROWS), np.zeros((MOST_ROWS, 6))
-    count = prior_rows(PriorRecord.of(assumed_upright(case.prior)), *pose.writable(), prior, slope)
-    Q, _ = np.linalg.qr(np.concatenate([by_pose, slope[:count]]))
-    residual = np.append(rows.residual, prior[:count])
-    jacobian = np.concatenate([rows.jacobian, np.zeros((count, rows.jacobian.shape[1]))])
-    return CauseRows(
-        residual - Q @ (Q.T @ residual),
-        jacobian - Q @ (Q.T @ jacobian),
-        np.append(rows.detection, np.full(count, -1)),
-        rows.element,
-    )

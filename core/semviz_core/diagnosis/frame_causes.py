@@ -98,9 +98,9 @@ def sigma_gains(case: FrameReference, localization: Localization) -> FloatArray 
 def _fit_share(
     case: FrameReference, mapped: Elements3D, pose: Pose, pairs: IntArray, scale: float
 ) -> float:
-    """Return the share of the residuals that fit with sigmas larger by ``scale``."""
+    """Return the share of the residuals that fit with sigmas larger by ``scale``; 0 without any."""
     residual = whitened_rows(_problem(case, mapped, scale), pose, pairs).residual
-    return float((residual**2 < MOST_CHI2).mean())
+    return float((residual**2 < MOST_CHI2).mean()) if len(residual) else 0.0
 
 
 def _log_likelihoods(errors: PairErrors, free: float) -> FloatArray:

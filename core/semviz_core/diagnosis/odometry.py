@@ -1,8 +1,8 @@
-"""Test the odometry of a run against the poses that its images support.
+"""Test the odometry of a run against its true poses.
 
 Over stretches of several steps, the odometry's motion is compared with that between the poses at
-both ends: the true ones, or those of frames localized without it. An error of the scale or of the
-yaw rate is common to all stretches; else the stated noise may be too small. The strongest is named.
+both ends. An error of the scale or of the yaw rate is common to all stretches; else the stated
+noise may be too small. The strongest is named.
 """
 
 from collections.abc import Sequence
@@ -89,7 +89,7 @@ def odometry_fault(
     frames = {row for stretch in off for row in range(stretch.first, stretch.last + 1)}
     return RunFault(
         "wrong odometry",
-        f"Over {len(stretches)} stretches, the odometry disagrees with the images: {sentence}.",
+        f"Over {len(stretches)} stretches, the odometry disagrees with the true poses: {sentence}.",
         (EvidenceItem("stretches", len(stretches)), evidence),
         frames=tuple(row for row in sorted(frames) if _is_explained(cases[row])),
     )
@@ -164,7 +164,7 @@ def drift_sentence(k: int, size: float) -> str:
 def _stretches(
     cases: Sequence[FrameReference], odometry: Sequence[Odometry | None]
 ) -> list[_Stretch]:
-    """Return stretches one after the other, between frames with a pose of their own."""
+    """Return stretches one after the other, between frames with a true pose."""
     steps = int(np.clip((len(cases) - 1) // (2 * NEEDED_FOR_NOISE), 1, MOST_STEPS))
     stretches: list[_Stretch] = []
     start: tuple[int, Pose, FloatArray] | None = None
@@ -176,26 +176,13 @@ def _stretches(
             motion.append(step)
         if start is not None and row - start[0] < steps:
             continue
-        if (end := _own_pose(case)) is None:
+        if case.truth is None:
             continue
+        end = case.truth, np.diag(TRUE_POSE_SIGMA**2)
         if start is not None:
             stretches.append(_stretch(start, (row, *end), motion))
         start, motion = (row, *end), []
     return stretches
-
-
-def _own_pose(case: FrameReference) -> tuple[Pose, FloatArray] | None:
-    """Return T_camera_map and its covariance (6, 6): the true pose, or that of the image alone."""
-    if case.truth is not None:
-        return case.truth, np.diag(TRUE_POSE_SIGMA**2)
-    result = case.localization
-    if result.method == TRACKED:  # its pose follows the odometry
-        if result.prior is None:
-            return None
-        result = solve_with_prior(case, result.prior)
-    if result.status != "ok" or result.T_camera_map is None or result.covariance is None:
-        return None
-    return result.T_camera_map, result.covariance
 
 
 def _stretch(

@@ -7,6 +7,7 @@ of unmatched detections of one class meet, from more frames than false detection
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -90,49 +91,71 @@ def diagnose_run(
         FrameReference.of(localization, semantic_map, truth, detector)
         for localization, truth in frames
     ]
-    positions = _with_pose(cases)
+    measured = [None] * len(cases) if odometry is None else odometry
+    is_blind = all(case.truth is None for case in cases)
+    found = (_common_without_truth if is_blind else _common)(cases, measured, watch)
+    positions = _with_pose(found.cases)
+    compared = [found.cases[position] for position in positions]
+    for cause in found.causes:
+        if cause.kind == "wrong detection sigma":
+            scale = next(item.value for item in cause.evidence if "sigma" in item.name)
+            compared = [with_sigma_scaled(case, scale) for case in compared]
+    recurring = () if found.calibration else _element_faults(compared, watch)
+    elements = tuple(_at(fault, positions) for fault in recurring)
+    return RunDiagnosis(found.calibration, elements, len(compared), tuple(found.causes))
+
+
+class _Common(NamedTuple):
+    """What all frames have in common, and the frames as single elements are judged in them."""
+
+    cases: Sequence[FrameReference]
+    calibration: RunFault | None
+    causes: Sequence[RunFault]
+
+
+def _common(
+    cases: Sequence[FrameReference], odometry: Sequence[Odometry | None], watch: ProgressCallback
+) -> _Common:
+    """Return what frames have in common against their true poses."""
+    positions = [position for position, case in enumerate(cases) if case.truth is not None]
     compared = [cases[position] for position in positions]
     calibration: RunFault | None = None
-    found = common_cause(compared, watch)
     causes: list[RunFault] = []
+    found = common_cause(compared, watch)
     if found is not None:
         fault = _at(run_causes.cause_fault(*found, watch), positions)
         if found[0].fit.cause in CALIBRATIONS:
             calibration = fault
         else:
             causes.append(fault)
-            compared = [found[0].fit.corrected(row) for row in range(len(compared))]
-            cases = _replaced(cases, positions, compared)
-    if offsets := _prior_offsets(cases, watch):
-        cases = without_offset(cases, offsets[0])
-        compared = [cases[position] for position in positions]
-        causes.append(run_causes.prior_offset_fault(offsets, cases, watch))
+            corrected = [found[0].fit.corrected(row) for row in range(len(compared))]
+            cases = _replaced(cases, positions, corrected)
     causes += run_causes.assumption_run_faults(cases, watch)
-    moved = None if odometry is None else odometry_fault(cases, odometry)
+    moved = odometry_fault(cases, odometry)
     causes += [] if moved is None else [moved]
     if calibration is not None:  # it explains large residuals, and a camera that is rolled
         causes = [cause for cause in causes if cause.kind not in OF_CALIBRATION]
-    blind = all(case.truth is None for case in cases)
-    if odometry is not None and blind and not causes and calibration is None:
-        compass = run_causes.tracked_heading_fault(cases, odometry, watch)
-        causes += [] if compass is None else [compass]
-    if odometry is not None and blind and not causes and calibration is None:
-        carried = with_carried_poses(cases, odometry, watch)
-        joint = run_causes.joint_fault(carried, odometry)
-        if joint is not None and joint.kind == "wrong calibration":
-            calibration = joint
-        elif joint is not None:
-            causes.append(joint)
-        if joint is None or joint.kind != "wrong odometry":
-            cases = carried
-            positions = _with_pose(cases)
-            compared = [cases[position] for position in positions]
-    for cause in causes:
-        if cause.kind == "wrong detection sigma":
-            compared = [with_sigma_scaled(case, cause.evidence[1].value) for case in compared]
-    recurring = () if calibration else _element_faults(compared, watch)
-    elements = tuple(_at(fault, positions) for fault in recurring)
-    return RunDiagnosis(calibration, elements, len(compared), tuple(causes))
+    return _Common(cases, calibration, causes)
+
+
+def _common_without_truth(
+    cases: Sequence[FrameReference], odometry: Sequence[Odometry | None], watch: ProgressCallback
+) -> _Common:
+    """Return what frames without true poses have in common, by one fit of all that they measured.
+
+    Assumptions are tested frame by frame where no pose is known to start the fit from.
+    """
+    if offsets := _prior_offsets(cases, watch):
+        cases = without_offset(cases, offsets[0])
+        return _Common(cases, None, [run_causes.prior_offset_fault(offsets, cases, watch)])
+    carried = with_carried_poses(cases, odometry, watch)
+    joint = run_causes.joint_fault(carried, odometry)
+    if joint is None:
+        return _Common(carried, None, run_causes.assumption_run_faults(cases, watch))
+    if joint.kind == "wrong calibration":
+        return _Common(carried, joint, [])
+    is_odometry = joint.kind == "wrong odometry"  # it carries poses to wrong places
+    return _Common(cases if is_odometry else carried, None, [joint])
 
 
 def _with_pose(cases: Sequence[FrameReference]) -> list[int]:
@@ -148,8 +171,6 @@ def _prior_offsets(
     cases: Sequence[FrameReference], watch: ProgressCallback
 ) -> tuple[PriorOffset, ...]:
     """Return what all priors of a run without ground truth have in common."""
-    if any(case.truth is not None for case in cases):
-        return ()
     ok = sum(case.localization.status == "ok" for case in cases)
     if (found := prior_offsets(cases)) or ok > MOSTLY_OK * len(cases):
         return found

@@ -15,18 +15,15 @@ from semviz_core.common.arrays import FloatArray
 from semviz_core.diagnosis.assumptions import (
     FACTORS,
     check_assumptions,
-    heading_fault,
     prior_faults,
     solve_with_prior,
     solve_with_sigma,
-    solved_without_heading,
 )
-from semviz_core.diagnosis.carried_poses import with_carried_poses
 from semviz_core.diagnosis.cause_fits import RIVAL_NATS, CauseFit, RatedCause
 from semviz_core.diagnosis.common_causes import CALIBRATIONS
 from semviz_core.diagnosis.fault import EvidenceItem, Fault, FaultKind, RunFault
 from semviz_core.diagnosis.frame_causes import likeliest_sigma_fault, sigma_gains
-from semviz_core.diagnosis.joint_fit import JointFit, fitted_rows, joint_fits
+from semviz_core.diagnosis.joint_fit import JointFit, joint_fits
 from semviz_core.diagnosis.odometry import DRIFTS, drift_sentence
 from semviz_core.diagnosis.prior_offsets import PriorOffset
 from semviz_core.diagnosis.reference import (
@@ -63,28 +60,6 @@ def assumption_run_faults(
     return sorted([*faults, *sigma], key=lambda fault: -len(fault.frames))
 
 
-def tracked_heading_fault(
-    cases: Sequence[FrameReference], odometry: Sequence[Odometry | None], watch: ProgressCallback
-) -> RunFault | None:
-    """Return the fault of a compass that a track without it shows, where single frames have too
-    few detections. No frame has a true pose."""
-    priors = [case.localization.prior for case in cases]
-    if all(prior is None or prior.heading_rad is None for prior in priors):
-        return None
-    watched = watch(cases, "solving without headings", len(cases))
-    free = [solved_without_heading(case) for case in watched]
-    tracked = with_carried_poses(free, odometry, watch)
-    reported = [
-        (row, fault)
-        for row, (prior, case) in enumerate(zip(priors, tracked, strict=True))
-        if prior is not None and case.localization.status == "ok"
-        if (fault := heading_fault(prior, case.localization)) is not None
-    ]
-    if len(reported) < max(NEEDED_FRAMES, LEAST_FRAMES_SHARE * len(cases)):
-        return None
-    return _assumption_fault("wrong heading prior", reported, len(cases))
-
-
 def joint_fault(
     cases: Sequence[FrameReference], odometry: Sequence[Odometry | None]
 ) -> RunFault | None:
@@ -96,37 +71,42 @@ def joint_fault(
     if not fits or not fits[0].is_fault:
         return None
     best = fits[0]
-    rows = fitted_rows(cases, odometry)
+    rows = best.frames
     close = [fit for fit in fits[1:] if fit.is_fault and fit.nats > best.nats - RIVAL_NATS]
     rivals = {fit.cause.kind: fit.cause.name for fit in close if fit.cause.kind != best.cause.kind}
     if best.cause.kind == "wrong gravity prior":
         rivals["wrong calibration"] = "the camera is mounted rolled"
     size = float(best.value[np.argmax(np.abs(best.value))]) * best.cause.in_unit
+    shown = f"{len(rows)} frames show it, fitted together."
     return RunFault(
         best.cause.kind,
-        f"{len(rows)} frames, fitted together with their odometry, show it: {_joint_size(best)}."
-        + _rivals_sentence(list(rivals.values())),
+        f"{_joint_size(best)}.{_rivals_sentence(list(rivals.values()))} {shown}",
         (
             EvidenceItem("frames", len(rows)),
             EvidenceItem(best.cause.name, size, best.cause.unit),
             EvidenceItem("strength", best.nats, "nats"),
         ),
-        frames=tuple(rows),
+        frames=rows,
         rivals=tuple(rivals),
     )
 
 
 def _joint_size(fit: JointFit) -> str:
+    """Return the cause with its size, as people read it."""
+    kind, name, unit = fit.cause.kind, fit.cause.name, fit.cause.unit
     values = fit.value * fit.cause.in_unit
-    for k, (name, _, _) in enumerate(DRIFTS):
-        if fit.cause.name == name:
-            return f"the odometry is wrong, {drift_sentence(k, float(values[0]))}"
-    if fit.cause.kind == "wrong detection sigma":
-        return f"the detections are about {values[0]:.1f} times less accurate than they state"
-    if fit.cause.kind == "wrong gravity prior":
-        return f"gravity is rolled by {values[0]:+.1f} deg in all of them"
-    down = f" across and {values[-1]:+.1f} {fit.cause.unit} down" if len(values) > 1 else ""
-    return f"an error of {values[0]:+.1f} {fit.cause.unit}{down} in {fit.cause.name}"
+    size = abs(float(values[0]))
+    for k, (drift, _, _) in enumerate(DRIFTS):
+        if name == drift:
+            return f"The odometry is wrong: {drift_sentence(k, float(values[0]))}"
+    if kind == "wrong detection sigma":
+        return f"The detections are about {size:.1f} times less accurate than they state"
+    if kind == "wrong gravity prior":
+        return f"The gravity prior is rolled by {size:.1f} deg"
+    if kind in ("wrong heading prior", "wrong height prior"):
+        return f"The {name} prior is {size:.1f} {unit} off"
+    down = f" across and {values[-1]:+.1f} {unit} down" if len(values) > 1 else ""
+    return f"The {name} is off by {values[0]:+.1f} {unit}{down}"
 
 
 def _assumptions(case: FrameReference) -> tuple[Fault, ...]:

@@ -14,7 +14,9 @@ const PART_PX = 7;
 const MARGIN_PX = 70; // for names beside the route
 const NEAR_PX = 12; // a click hits a part up to this distance
 const NAMED = 5; // causes with a name in the map
-const NAME_PX = { width: 150, height: 32 };
+const NAME_PX = { width: 150, height: 32 }; // at least
+const NAME_FONT = "600 12px";
+const FAMILY = 'Inter, "Liberation Sans", Arial, sans-serif';
 
 export class StoryMap {
   /** @type {StoryPart[]} */
@@ -122,7 +124,7 @@ export class StoryMap {
       if (!cause.parts.length) continue;
       const line = this.line(this.route[cause.parts[0]]);
       const from = line[Math.floor(line.length / 2)];
-      const free = places(from, width, height).find((box) => taken.every((other) => areApart(box, other)) && !road.some((point) => isInside(point, box)));
+      const free = places(from, nameWidth(context, cause), width, height).find((box) => taken.every((other) => areApart(box, other)) && !road.some((point) => isInside(point, box)));
       if (!free) continue;
       taken.push(free);
       drawName(context, cause, from, free);
@@ -135,12 +137,13 @@ export class StoryMap {
 /** Where a name may stand within the canvas, nearest first: above and below a point, or aside.
  *
  * @param {Point} point
+ * @param {number} needed width of the name
  * @param {number} width
  * @param {number} height
  * @returns {Box[]}
  */
-function places([x, y], width, height) {
-  const size = NAME_PX;
+function places([x, y], needed, width, height) {
+  const size = { ...NAME_PX, width: Math.max(NAME_PX.width, needed) };
   const boxes = [44, 84, 124, 164].flatMap((away) => [0, -110, 110, -200, 200].flatMap((aside) => [
     { left: x + aside - size.width / 2, top: y - away - size.height / 2, ...size },
     { left: x + aside - size.width / 2, top: y + away - size.height / 2, ...size }]));
@@ -163,6 +166,19 @@ function isInside([x, y], { left, top, width, height }) {
   return x > left - ROAD_PX && x < left + width + ROAD_PX && y > top - ROAD_PX && y < top + height + ROAD_PX;
 }
 
+/** The width of a cause's name; one of two causes has a long one.
+ *
+ * @param {Context} context
+ * @param {StoryCause} cause
+ */
+function nameWidth(context, { kind }) {
+  context.font = `${NAME_FONT} ${FAMILY}`;
+  return context.measureText(capitalized(kind)).width;
+}
+
+/** @param {string} text */
+const capitalized = (text) => text[0].toUpperCase() + text.slice(1);
+
 /**
  * @param {Context} context
  * @param {StoryCause} cause
@@ -177,7 +193,7 @@ function drawName(context, { kind, frames }, [x, y], { left, top, width, height 
   context.moveTo(x, y + (isAbove ? -9 : 9));
   context.lineTo(middle, isAbove ? top + height : top);
   context.stroke();
-  write(context, kind[0].toUpperCase() + kind.slice(1), middle, top + 10, "center", "600 12px", "--text");
+  write(context, capitalized(kind), middle, top + 10, "center", NAME_FONT, "--text");
   write(context, frames.length === 1 ? "1 frame" : `${frames.length.toLocaleString("en")} frames`, middle, top + 24, "center", "400 11px", "--dim");
 }
 
@@ -225,7 +241,7 @@ function drawScale(context, scale, width, height) {
  * @param {string} color
  */
 function write(context, text, x, y, align, font, color) {
-  context.font = `${font} Inter, "Liberation Sans", Arial, sans-serif`;
+  context.font = `${font} ${FAMILY}`;
   context.textAlign = align;
   context.textBaseline = "middle";
   context.fillStyle = cssColor(color);
