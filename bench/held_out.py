@@ -29,17 +29,18 @@ from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.elements import Elements2D, Elements3D, joined
 from semviz_core.base.frame import Prior
 from semviz_core.base.pose import Pose
-from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.localization.heading_votes import WIDE
 from semviz_core.localization.least_squares import fit_pairs
 from semviz_core.localization.localizer import Localizer
 from semviz_core.localization.matched import localize_matches
+from semviz_core.localization.matched.matches import NEEDED_PAIRS
 from semviz_core.localization.noise_estimate import NoiseEstimate
 from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.search import mode_near, search
 from semviz_core.metrics.pose_errors import pose_error
 from semviz_core.research.evaluation.baselines import MATCHED_METHODS
-from semviz_core.research.evaluation.methods import MatchedProblem
+from semviz_core.research.evaluation.methods import MatchedProblem, bound_covariance
 from semviz_core.research.evaluation.problems import LocalizationProblem, mapped_elements
 from semviz_core.research.evaluation.problems import make_problem as make_road_problem
 from semviz_core.research.evaluation.roads import kitti_road
@@ -120,7 +121,7 @@ def make_problem(seed: int, kind: Kind) -> LocalizationProblem:
     reach_m = IN_REACH_M + (0.0 if kind.fix_m <= 10.0 else 1.5 * kind.fix_m)
     count = round(kind.in_reach * (reach_m / IN_REACH_M) ** 2)
     world = _elements(count, reach_m, rng)
-    observed, rows = _observed(world, true, kind, rng)
+    observed, rows, hidden = _observed(world, true, kind, rng)
     mapped, trusted = _mapped(world, kind, rng)
     observed = joined(observed, _false(len(observed), kind, rng))
     rows = np.append(rows, np.full(len(observed) - len(rows), -1))
@@ -135,9 +136,8 @@ def make_problem(seed: int, kind: Kind) -> LocalizationProblem:
     prior = Prior(
         fix, 0.5 * kind.fix_m, 0.1, up / np.linalg.norm(up), GRAVITY_RAD
     )  # the camera is 1.65 m above the ground, the map's z is 0 there
-    return LocalizationProblem(
-        observed, mapped, CAMERA, prior, true, pairs, np.ones(len(observed), dtype=bool)
-    )
+    visible = np.append(~hidden, np.zeros(len(observed) - len(hidden), dtype=bool))
+    return LocalizationProblem(observed, mapped, CAMERA, prior, true, pairs, visible)
 
 
 def _camera(rng: np.random.Generator) -> Pose:
@@ -167,8 +167,8 @@ def _elements(count: int, reach_m: float, rng: np.random.Generator) -> Elements3
 
 def _observed(
     world: Elements3D, true: Pose, kind: Kind, rng: np.random.Generator
-) -> tuple[Elements2D, IntArray]:
-    """Return the true detections and their rows of ``world``."""
+) -> tuple[Elements2D, IntArray, BoolArray]:
+    """Return the true detections, their rows of ``world``, and which bottoms are hidden."""
     peak, line = true.apply(world.anchor_m), world.is_line
     foot = true.apply(np.where(line[:, None], world.end_m, world.anchor_m))
     depth = np.linalg.norm(peak, axis=1)
@@ -184,7 +184,8 @@ def _observed(
     anchor_px = anchor_px[kept] + times * rng.normal(0.0, kind.sigma_px, (len(kept), 2))
     end_px = end_px[kept] + rng.normal(0.0, kind.sigma_px, (len(kept), 2))
     end_px = np.where(line[rows[kept], None], end_px, np.nan)
-    return Elements2D.from_ends(anchor_px, end_px, world.class_id[rows[kept]]), rows[kept]
+    observed = Elements2D.from_ends(anchor_px, end_px, world.class_id[rows[kept]])
+    return observed, rows[kept], hidden[kept]
 
 
 def _mapped(
@@ -238,7 +239,10 @@ def main(options: Options) -> None:
                 if options.run
                 else (_told(localizer, problem) for problem in problems)
             )
-            true = [_with_true_matches(make_problem(seed, SETS[name])) for seed in seeds]
+            true = [
+                _is_right(_fit_to_true_matches(problem), problem)
+                for problem in (make_problem(seed, SETS[name]) for seed in seeds)
+            ]
             print(f"{name:16}", _row(told), f"true matches {np.mean(true):.1%}", flush=True)
     if "matched" in options.sets:
         _matched(seeds)
@@ -287,12 +291,11 @@ def _is_right(pose: Pose | None, problem: LocalizationProblem) -> bool:
     return bool(off_m < RIGHT_M and off_deg < RIGHT_DEG)
 
 
-def _with_true_matches(problem: LocalizationProblem) -> bool:
+def _fit_to_true_matches(problem: LocalizationProblem) -> Pose | None:
     scene = PoseProblem.of(problem.camera, problem.observed, problem.submap, DETECTOR)
     if len(problem.pairs) < 2:
-        return False
-    fit = fit_pairs(scene, problem.prior, problem.T_camera_map, problem.pairs)
-    return _is_right(fit.T_camera_map, problem)
+        return None
+    return fit_pairs(scene, problem.prior, problem.T_camera_map, problem.pairs).T_camera_map
 
 
 def _margin_nats(problem: LocalizationProblem) -> float:
@@ -320,24 +323,42 @@ def _row(told: list[Told]) -> str:
 
 
 def _matched(seeds: range) -> None:
-    """Print our solver and PoseLib's on the same matches, 80 % of them wrong."""
+    """Print our solver and other libraries' on the same matches, 80 % of them wrong."""
     ways: dict[str, Callable[[MatchedProblem], Pose | None]] = {"semviz": _localized}
-    for name in ("poselib points", "poselib points+lines"):
+    for name in ("poselib points", "poselib points+lines", "opencv usac"):
         if name in MATCHED_METHODS:
             method = MATCHED_METHODS[name]()
             ways[name] = lambda given, method=method: method.solve(given).T_camera_map
+    ways["true matches"] = lambda given: _fit_to_true_matches(given.problem)
     given = [_matched_problem(seed) for seed in seeds]
+    enough = np.array([len(one.problem.pairs) >= NEEDED_PAIRS for one in given])
+    bound_m = np.array([_bound_m(one.problem) for one in given])
     for name, solve in ways.items():
         solve(given[0])
-        told = []
-        for problem in given:
+        off_m, time_ms, answered = np.full((3, len(given)), np.inf)
+        for row, one in enumerate(given):
             start = process_time()
-            pose = solve(problem)
-            time_ms = (process_time() - start) * 1e3
-            told.append(Told(_is_right(pose, problem.problem), False, np.nan, time_ms))
-        median, p95 = np.percentile([one.time_ms for one in told], [50, 95])
-        right = np.mean([one.right for one in told])
-        print(f"matched: {name:22} right {right:.1%}  {median:.1f} ms, p95 {p95:.1f}", flush=True)
+            pose = solve(one)
+            time_ms[row] = (process_time() - start) * 1e3
+            answered[row] = pose is not None
+            if pose is not None and _is_right(pose, one.problem):
+                off_m[row] = pose_error(pose, one.problem.T_camera_map)[0]
+        right = np.isfinite(off_m)
+        both = right & np.isfinite(bound_m)
+        ratio = np.sqrt(np.mean((off_m[both] / bound_m[both]) ** 2))
+        median, p95 = np.percentile(time_ms, [50, 95])
+        print(
+            f"matched: {name:22} right {right.mean():6.1%}, of {enough.sum()} with {NEEDED_PAIRS} "
+            f"true matches {right[enough].mean():6.1%}  wrong {(answered > right).mean():6.1%}  "
+            f"RMS/bound {ratio:.2f}  {median:.1f} ms, p95 {p95:.1f}",
+            flush=True,
+        )
+
+
+def _bound_m(problem: LocalizationProblem) -> float:
+    """Return the RMS of the position's Cramer-Rao bound, infinite if the true pairs fix none."""
+    covariance = bound_covariance(problem)
+    return np.inf if covariance is None else float(np.sqrt(np.trace(covariance[:3, :3])))
 
 
 def _localized(given: MatchedProblem) -> Pose | None:

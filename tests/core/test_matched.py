@@ -14,15 +14,14 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.localization.association import associate
 from semviz_core.localization.least_squares import fit_pairs
 from semviz_core.localization.matched import METHODS, Estimate, Failure, localize_matches
+from semviz_core.localization.matched.chance import Consensus, needed_inliers
 from semviz_core.localization.matched.matches import Matches
 from semviz_core.localization.matched.minimal_solvers import Constraints, sample_poses
 from semviz_core.localization.matched.ransac import (
     SAMPLE_SIGMA_PX,
-    Consensus,
     blurred,
     find_consensus,
     improve_consensus,
-    needed_inliers,
 )
 from semviz_core.localization.problem import PoseProblem, PriorRecord
 from semviz_core.metrics.pose_errors import pose_error
@@ -285,6 +284,38 @@ def test_matches_that_are_all_wrong_give_a_reason(method: str) -> None:
         if isinstance(found, Failure):
             assert "matches" in found.reason
     assert answered == 0
+
+
+def few_true(seed: int, true_matches: int) -> tuple[LocalizationProblem, IntArray, FloatArray]:
+    """A problem with so few true matches, and four wrong ones for each."""
+    problem, pairs, score, true = with_outliers(seed)
+    kept = np.concatenate(
+        [np.flatnonzero(true)[:true_matches], np.flatnonzero(~true)[: 4 * true_matches]]
+    )
+    return problem, pairs[kept], score[kept]
+
+
+def test_four_true_matches_of_twenty_suffice_where_they_agree_closely() -> None:
+    right, wrong, enough = 0, 0, needed_inliers(20)
+    for seed in range(20):
+        problem, pairs, score = few_true(seed, 4)
+        found = solved(problem, pairs, score, prior=problem.prior)
+        if isinstance(found, Estimate):
+            off_m = pose_error(found.T_camera_map, problem.T_camera_map)[0]
+            right += off_m < 1.0
+            wrong += off_m >= 2.0
+    assert enough == 5
+    assert right >= 15
+    assert wrong == 0
+
+
+def test_a_prior_does_not_make_chance_a_pose() -> None:
+    answered = 0
+    for seed in range(25):
+        problem, pairs, score, true = with_outliers(seed)
+        found = solved(problem, pairs[~true], score[~true], prior=problem.prior)
+        answered += isinstance(found, Estimate)
+    assert answered <= 1
 
 
 def test_more_matches_need_more_agreement() -> None:

@@ -28,6 +28,7 @@ from semviz_core.common.errors import SemvizError
 from semviz_core.common.jit import compiled
 from semviz_core.localization.least_squares import information
 from semviz_core.localization.matched import ransac
+from semviz_core.localization.matched.chance import needed_inliers
 from semviz_core.localization.matched.matches import Estimate, Matches
 from semviz_core.localization.matched.minimal_solvers import FARTHEST_M
 from semviz_core.localization.matched.p3p import MOST_POSES, solve_p3p
@@ -183,7 +184,7 @@ def p3p_ransac(matches: Matches, seed: int) -> RansacPose | Failure:
         return Failure("No sample of three points has a P3P solution.")
     cosine = points.cosine(rotation, translation)
     inlier = _one_to_one(matches, top[points.match], cosine)
-    if (inliers := int(inlier.sum())) < ransac.needed_inliers(len(matches)):
+    if (inliers := int(inlier.sum())) < needed_inliers(len(matches)):
         return ransac.too_few_agree(matches, inliers, hypotheses)
     return RansacPose(Pose(rotation, translation), inlier, hypotheses)
 

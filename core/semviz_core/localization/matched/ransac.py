@@ -2,13 +2,12 @@
 
 Samples are drawn by score (Fischler and Bolles 1981), and residuals are truncated (Torr and
 Zisserman 2000). Local optimization (Chum, Matas and Kittler 2003) of poses that are rated higher
-than all before pairs again within the covariance of each fit. The number of inliers needed follows
-a contrario from chance agreement (Moisan and Stival 2004). A pose whose
-covariance is too large is no result.
+than all before pairs again within the covariance of each fit. Samples are drawn until the best
+pose is more than chance (`chance`) and one of inliers alone was very likely among them. A pose
+whose covariance is too large is no result.
 """
 
 from dataclasses import dataclass
-from math import comb
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +18,12 @@ from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.jit import compiled
 from semviz_core.common.linalg import inverse
 from semviz_core.localization.association import associate
-from semviz_core.localization.least_squares import fit, fit_pairs
+from semviz_core.localization.least_squares import fit, fit_record
+from semviz_core.localization.matched.chance import (
+    Consensus,
+    agrees_by_chance,
+    needed_inliers,
+)
 from semviz_core.localization.matched.matches import NEEDED_PAIRS, Estimate, Matches
 from semviz_core.localization.matched.minimal_solvers import Constraints, sample_poses
 from semviz_core.localization.prior_residuals import prior_chi2
@@ -29,10 +33,6 @@ from semviz_core.localization.residuals import EXACT_POSE
 
 SAMPLE_SIGMA_PX = 6.0
 """Typical residual of true matches under a pose from a minimal sample of others."""
-CHANCE_FIT = 3e-4
-"""Chance that a wrong match agrees with a wrong pose, measured on matches that were all wrong."""
-MOST_CHANCE = 0.01
-"""Largest expected number of wrong poses accepted per frame without a single true match."""
 LEAST_INFORMATION = 1e-3
 """Least information of the pose's weakest direction (sigma 30 m or rad) that is inverted."""
 LEAST_GAIN = 0.1
@@ -41,21 +41,6 @@ _ROUNDS = 4
 _STEPS, _STEPS_WITHOUT = np.int64(6), np.int64(4)
 """Most steps of a fit, and of one without one of the pairs. Plain integers would have the fit
 compiled once for each of them."""
-
-
-@dataclass(frozen=True, eq=False)
-class Consensus:
-    """A pose fitted to the matches that agree with it."""
-
-    rotation: FloatArray  # (3, 3) T_camera_map
-    translation: FloatArray  # (3,)
-    mapped: IntArray  # (m,) mapped row of each observed element, -1 for none
-    gain: float
-    """Log-likelihood (nats) of its matches over false positives, and of the prior."""
-
-    def inlier(self, pairs: IntArray) -> BoolArray:
-        """Return (k,) which of ``pairs`` agree."""
-        return np.asarray(self.mapped[pairs[:, 0]] == pairs[:, 1])
 
 
 def blurred(problem: PoseProblem, sigma_px: float) -> PoseProblem:
@@ -170,33 +155,17 @@ def _improve_consensus(
 def estimate_of(
     matches: Matches,
     problem: PoseProblem,
-    prior: Prior | None,
+    prior: PriorRecord,
     best: Consensus,
     hypotheses: int,
 ) -> Estimate | Failure:
     """Return the pose of a consensus, or why there is none."""
-    if not best.gain > 0.0:
-        return too_few_agree(matches, NEEDED_PAIRS - 1, hypotheses)
     inlier = best.inlier(matches.pairs)
-    if (inliers := int(inlier.sum())) < needed_inliers(len(matches)):
-        return too_few_agree(matches, inliers, hypotheses)
+    if agrees_by_chance(matches, problem, prior, best):
+        return too_few_agree(matches, max(int(inlier.sum()), NEEDED_PAIRS - 1), hypotheses)
     start = Pose(nearest_rotation(best.rotation), best.translation)
-    fitted = fit_pairs(problem, prior, start, matches.pairs[inlier])
+    fitted = fit_record(problem, prior, start, matches.pairs[inlier])
     return confident_estimate(matches, fitted.T_camera_map, fitted.information, inlier, hypotheses)
-
-
-def needed_inliers(matches: int) -> int:
-    """Return the fewest of ``matches`` whose agreement is not due to chance.
-
-    A contrario (Moisan and Stival 2004): two matches give up to four poses, and others may agree
-    with each of these by chance.
-    """
-    poses = 4 * comb(matches, 2)
-    for inliers in range(NEEDED_PAIRS, matches):
-        others = inliers - 2
-        if poses * comb(matches - 2, others) * CHANCE_FIT**others < MOST_CHANCE:
-            return inliers
-    return max(matches, NEEDED_PAIRS)
 
 
 def too_few_agree(matches: Matches, agreeing: int, hypotheses: int) -> Failure:
@@ -258,32 +227,34 @@ def ransac_minimal(matches: Matches, prior: Prior | None, seed: int) -> Estimate
     leading = Leading((np.eye(3), np.zeros(3), np.full(len(problem.seen), -1), 0.0), 0.0)
     best = Consensus(*leading.consensus)
     drawn = evaluated = 0
-    while drawn < sampler.enough(matches, best):
+    while drawn < MOST_SAMPLES and (
+        drawn < sampler.enough(matches, best) or agrees_by_chance(matches, problem, record, best)
+    ):
         batch = BATCH if drawn else FIRST_BATCH
         poses = sampler.poses(rng, batch)
         drawn, evaluated = drawn + batch, evaluated + len(poses[0])
         leading = optimize_best(*problems, record, *poses, leading)
         best = Consensus(*leading.consensus)
     if best.gain > 0.0:
-        best, prior = _improve_with_prior(problem, prior, best)
-    return estimate_of(matches, problem, prior, best, evaluated)
+        best, record = _improve_with_prior(problem, record, best)
+    return estimate_of(matches, problem, record, best, evaluated)
 
 
 def _improve_with_prior(
-    problem: PoseProblem, prior: Prior | None, consensus: Consensus
-) -> tuple[Consensus, Prior | None]:
+    problem: PoseProblem, prior: PriorRecord, consensus: Consensus
+) -> tuple[Consensus, PriorRecord]:
     """Return the best consensus near a given one, and the prior unless the matches contradict it.
 
     A road's height, for example, is off by many sigmas where another road crosses.
     """
-    best = improve_consensus(problem, PriorRecord.of(prior), consensus)
-    if prior is None:
-        return best, None
+    best = improve_consensus(problem, prior, consensus)
+    if not prior.value["has_position"]:
+        return best, prior
     nothing = PriorRecord.of(None)
     start = best.rotation, best.translation, best.mapped
     alone = improve_consensus(problem, nothing, find_consensus(problem, nothing, *start))
     if alone.gain > best.gain + CONTRADICTION:
-        return alone, None
+        return alone, nothing
     return best, prior
 
 
