@@ -294,7 +294,7 @@ def test_two_builds_are_the_same_bytes(wheel: Path, tmp_path: Path) -> None:
     """Whatever the time, the umask and the order of files: hatchling sorts, and dates nothing."""
     copy = tmp_path / "elsewhere"
     shutil.copytree(REPOSITORY, copy, ignore=shutil.ignore_patterns(
-        ".*cache*", "*venv", ".git", "node_modules", ".hypothesis", "__pycache__", "images"
+        ".*cache*", "*venv", ".git", "node_modules", ".hypothesis", "__pycache__"
     ))  # fmt: skip
     if (REPOSITORY / ".gitignore").is_file():
         shutil.copy(REPOSITORY / ".gitignore", copy)

@@ -167,7 +167,8 @@ class RunWriter:
         self._places = list[tuple[int, int]]()
         """First byte of each frame's messages in the file, and the byte after them."""
         self._stream = rr.RecordingStream(run.APPLICATION, send_properties=False)
-        self._stream.save(path, default_blueprint=make_blueprint(info, semantic_map))
+        with self._refusing_failures():
+            self._stream.save(path, default_blueprint=make_blueprint(info, semantic_map))
         self._stream.send_recording_name(info.name)
         columns = Columns()
         _add_exact(columns, run.INFO, info, version=run.FORMAT_VERSION)
@@ -243,8 +244,14 @@ class RunWriter:
         return self._path.stat().st_size
 
     def _flush(self) -> None:
-        try:
+        with self._refusing_failures():
             self._stream.flush(timeout_sec=FLUSH_LIMIT_S)
+
+    @contextmanager
+    def _refusing_failures(self) -> Iterator[None]:
+        """Raise SemvizError if rerun cannot write the file."""
+        try:
+            yield
         except RuntimeError as error:
             self._lost = True
             _FAILED.append(self._stream.inner)

@@ -88,11 +88,13 @@ def test_a_repaired_run_is_whole_and_still_interrupted(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits the size of files as POSIX does")
-def test_on_a_full_disk_repair_changes_nothing(tmp_path: Path, whole: bytes) -> None:
+@pytest.mark.parametrize("share", [0.5, 0.0])
+def test_on_a_full_disk_repair_changes_nothing(tmp_path: Path, whole: bytes, share: float) -> None:
+    """Whether it fills up between two frames, or is full before the first."""
     path = tmp_path / "cut.rrd"
     path.write_bytes(whole[: int(0.7 * len(whole))])
     before = path.read_bytes()
-    done = call_on_a_full_disk(len(before) // 2, "repair", path)
+    done = call_on_a_full_disk(int(share * len(before)), "repair", path)
     assert done.returncode == 2
     assert done.stderr.startswith(f"semviz: {path}: cannot be written"), done.stderr
     assert done.stderr.count("\n") == 1, done.stderr
