@@ -90,7 +90,9 @@ def _growth(image: MarkedImage, ends: FloatArray, k: int, width_px: float) -> _G
     inner, end = ends[1 - k], ends[k]
     line = grown_end(image, inner, end, width_px, min(_ASIDE, _ASIDE_PX / length))
     pieces = np.linalg.norm(follow_pole(image, inner, end, pole_width(image, ends)) - end)
-    return _Growth(k == 1, length, line.off_px / length, float(pieces) / length, line.gain, line.fall)
+    return _Growth(
+        k == 1, length, line.off_px / length, float(pieces) / length, line.gain, line.fall
+    )
 
 
 def _beyond(growths: Sequence[_Growth], is_seen: bool) -> list[float]:
