@@ -13,12 +13,15 @@ from semviz.commands.poses import known_pose_review
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
+    from semviz.workspace.poses.pose_review import PoseReview
     from semviz.workspace.workspace import Workspace
+    from semviz_annotation.labels.proposals import Proposals
     from semviz_annotation.mapping.association.detection_tracks import TrackOptions
-    from semviz_annotation.mapping.build import BuildOptions
+    from semviz_annotation.mapping.build import BuildOptions, BuildReport
     from semviz_annotation.mapping.paper_baseline import PaperOptions
     from semviz_core.base.frame import Frame
     from semviz_core.base.semantic_map import SemanticMap
+    from semviz_core.common.jit import Stopwatch
     from semviz_core.localizability.route import Conditions
 
 _METHOD_OPTIONS = {
@@ -70,7 +73,6 @@ class MapBuildCommand:
 
     def run(self) -> int:
         from semviz.presentation.terminal import Steps, announce_compiling
-        from semviz.reports.pose_check import review_as_dict, review_lines
         from semviz.workspace.observations import read_detections
         from semviz.workspace.outputs import PARQUET, check_outputs
         from semviz.workspace.poses.pose_review import pose_errors, with_used_poses
@@ -105,24 +107,37 @@ class MapBuildCommand:
             )
         built = with_used_poses(built, workspace)
         save_map(built, path)
-        poses = known_pose_review(workspace)
+        self._print(built, path, report, known_pose_review(workspace), detections, watch)
+        return 0
+
+    def _print(
+        self,
+        built: "SemanticMap",
+        path: Path,
+        report: "BuildReport",
+        poses: "PoseReview | None",
+        detections: "Proposals | None",
+        watch: "Stopwatch",
+    ) -> None:
+        from semviz.reports.pose_check import review_as_dict, review_lines
+
         report = replace(report, in_wrong_poses=poses.wrong_observations if poses else frozenset())
         if self.json:
             said = {} if poses is None else {"poses": review_as_dict(poses)}
             if detections is not None:
                 said["ms"] = watch.time_ms
             print(json.dumps({"map": str(path), **report.as_dict(), **said}))
-        else:
-            for line in [] if poses is None else review_lines(poses):
-                print(line)
-            print(report)
-            if detections is not None:
-                rows = (row for row in detections.rows() if not frames or row.frame_index in frames)
-                images = {(row.frame_index, row.side) for row in rows}
-                seconds = watch.time_ms["linking"] / 1e3
-                print(f"linked the detections in {len(images)} images in {seconds:.1f} s")
-            print(f"{path}: {len(built)} elements, {path.stat().st_size / 1000:.0f} kB")
-        return 0
+            return
+        for line in [] if poses is None else review_lines(poses):
+            print(line)
+        print(report)
+        if detections is not None:
+            frames = parsing.parse_frames(self.frames)
+            rows = (row for row in detections.rows() if not frames or row.frame_index in frames)
+            images = {(row.frame_index, row.side) for row in rows}
+            seconds = watch.time_ms["linking"] / 1e3
+            print(f"linked the detections in {len(images)} images in {seconds:.1f} s")
+        print(f"{path}: {len(built)} elements, {path.stat().st_size / 1000:.0f} kB")
 
     def _options(self) -> "BuildOptions | PaperOptions":
         from semviz_annotation.mapping.build import BuildOptions

@@ -7,7 +7,7 @@ tracker follows the camera, and its pose of each frame is recorded as a localiza
 
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property, partial
@@ -260,33 +260,20 @@ def localize_workspace(
     )
     source = workspace.source
     semantic_map = workspace.read_map(given_map) if isinstance(given_map, str) else given_map
-    detector = (
+    localizer = Localizer(
+        options.method,
+        options.seed,
+        semantic_map.classes,
         detector_model(options.observations)
         if calibration is None
-        else calibration.detector_model(options.least_score)
-    )
-    localizer = Localizer(
-        options.method, options.seed, semantic_map.classes, detector, options.weights_path
+        else calibration.detector_model(options.least_score),
+        options.weights_path,
     )
     measured = measured or Measurements()
     selected = select_frames(source, frames, camera)
     if measured.priors is None:
         selected = posed_frames(selected)
-    processed: ProcessedImages | None = None
-    observe_in: Callable[..., observations.Observe]
-    if options.observations == "labels":
-        observe_in = partial(observations.observe_labels, workspace, semantic_map)
-    elif options.observations == "detected":
-        detections = observations.read_detections(workspace, selected)
-        observe_in = partial(
-            observations.observe_detected,
-            workspace, semantic_map, detections, options.least_score, calibration,
-        )  # fmt: skip
-        processed = detections.processed
-    else:
-        observe_in = partial(
-            observations.observe_simulated, workspace, semantic_map, options.noise, options.seed
-        )
+    observe_in, processed = _observing(workspace, semantic_map, options, selected, calibration)
     odometry_of = measured.odometry_of if measured.is_any else simulated_odometry(options.seed)
     measured.check(semantic_map, selected)
     return SequenceLocalization(
@@ -304,6 +291,26 @@ def localize_workspace(
         again,
         rig_views(source, selected, observe_in, odometry_of) if options.rig else None,
     )
+
+
+def _observing(
+    workspace: Workspace,
+    semantic_map: SemanticMap,
+    options: LocalizeOptions,
+    selected: Sequence[Frame],
+    calibration: DetectorCalibration | None,
+) -> tuple[Callable[..., observations.Observe], ProcessedImages | None]:
+    """Return what observes the elements in the images of a camera, the left one unless it is told
+    another, and what is known of the images that a detector has processed."""
+    if options.observations == "labels":
+        return partial(observations.observe_labels, workspace, semantic_map), None
+    if options.observations != "detected":
+        noise, seed = options.noise, options.seed
+        return partial(observations.observe_simulated, workspace, semantic_map, noise, seed), None
+    detections = observations.read_detections(workspace, selected)
+    scores = options.least_score, calibration
+    observe = partial(observations.observe_detected, workspace, semantic_map, detections, *scores)
+    return observe, detections.processed
 
 
 def _localize_again(path: Path, *arguments: Any) -> SequenceLocalization:
