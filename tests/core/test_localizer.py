@@ -16,10 +16,10 @@ from semviz_core.base.frame import Prior
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
+from semviz_core.localization.crowding import pairs_by_chance
 from semviz_core.localization.localizer import Localizer
 from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.residuals import problem_residuals
-from semviz_core.localization.status import pairs_by_chance
 from semviz_core.metrics.pose_errors import pose_error
 from semviz_core.research.evaluation.problems import (
     CAMERA,
@@ -249,6 +249,11 @@ def test_a_map_in_which_chance_fits_is_never_sure() -> None:
         assert pairs_by_chance(few, problem.T_camera_map) == 0.0
         assert pairs_by_chance(many, problem.T_camera_map) > 0.15 * len(problem.observed)
         assert localized(dense).status != "ok"
+
+
+def test_where_chance_fits_sigmas_are_not_said_to_be_too_small() -> None:
+    for problem in frames(6):
+        assert "too small" not in localized(crowded(problem, 5000)).reason
 
 
 def test_a_prior_far_off_is_never_confidently_wrong() -> None:

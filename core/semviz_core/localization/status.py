@@ -16,10 +16,8 @@ from semviz_core.base.frame import Prior
 from semviz_core.base.localization import Refinement, Status
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
-from semviz_core.localization.association import associate
-from semviz_core.localization.problem import PoseProblem
+from semviz_core.localization.crowding import chance_explains
 from semviz_core.localization.refinement import NEEDED_PAIRS, PoseEstimate
-from semviz_core.localization.residuals import EXACT_POSE
 from semviz_core.localization.search import Modes, pose_distances
 
 AMBIGUOUS_NATS, SCALE_NATS = 14.0, 6.0
@@ -40,11 +38,6 @@ LEAST_SHARE, PLENTY = 0.5, 6
 position explains a few by chance, seldom half. Of the rest, most are false in clutter."""
 SURE_SIGMA_M = 0.5
 """A pose whose position is less certain than this is ambiguous."""
-CROWDED_MAP = 1000
-"""In maps with fewer elements, chance fits too few to matter."""
-CHANCE_SHARE = 0.15
-"""A pose is ambiguous if chance fits more than this share of its pairs (right ones: up to 0.11)."""
-_TURNS = 8
 CONTRADICTING_SIGMAS = 4.0
 """A pose further than this from a component of the prior contradicts it."""
 
@@ -118,21 +111,6 @@ def _decided(
     return StatusDecision("ok", f"{of_all} fit, {sigma_m:.2f} m{_margin(modes, probability)}.")
 
 
-def pairs_by_chance(problem: PoseProblem, T_camera_map: Pose) -> float:
-    """Return how many observed elements fit on average if the camera is turned away; 0 in a map
-    with few elements, where it is not counted."""
-    if len(problem.mapped) < CROWDED_MAP:
-        return 0.0
-    center = T_camera_map.inverse().translation
-    fitting = []
-    for turn in 2.0 * np.pi * np.arange(1, _TURNS + 1) / (_TURNS + 1):
-        c, s = np.cos(turn), np.sin(turn)
-        R = T_camera_map.rotation @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        match, _ = associate(problem, R, -R @ center, EXACT_POSE)
-        fitting.append((match >= 0).sum())
-    return float(np.mean(fitting))
-
-
 def is_likely(probability: FloatArray | None) -> bool:
     """Return whether the first of (b,) modes is likely right by a verifier; False without one."""
     return probability is not None and bool(probability[0] >= LIKELY_PROBABILITY)
@@ -202,7 +180,7 @@ def _few_pairs(fitting: int, needed: int, of_all: str) -> str:
 
 
 def _crowded(fitting: int, by_chance: float) -> str:
-    if by_chance <= CHANCE_SHARE * fitting:
+    if not chance_explains(by_chance, fitting):
         return ""
     return (
         f"The map is so dense that {by_chance:.1f} elements fit on average wherever the camera "
