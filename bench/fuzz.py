@@ -55,9 +55,10 @@ INSTRUMENTED = [
     "semviz_annotation.mapping.backdrop", "semviz_core.base", "semviz_core.common.limits",
     "semviz_core.datasets", "semviz.runs.codec",
     "semviz_core.detection.model_config", "semviz.runs.reader",
-    "semviz.workspace.settings", "semviz.workspace.pose_choices", "semviz.workspace.drive_file",
-    "semviz.workspace.map_decisions", "semviz.workspace.checked_file",
-    "semviz.workspace.foreign_results", "semviz_core.research.evaluation",
+    "semviz.workspace.settings", "semviz.workspace.poses.pose_choices",
+    "semviz.workspace.drive.drive_file", "semviz.workspace.maps.map_decisions",
+    "semviz.workspace.checked_file",
+    "semviz.workspace.localization.foreign_results", "semviz_core.research.evaluation",
     "semviz_core.research.training.annotated_images",
     "semviz_core.pose_checks.image_motions", "yaml", "rosbags",
 ]  # fmt: skip

@@ -24,9 +24,9 @@ from map_files import small_map
 
 from semviz.runs import reader, run
 from semviz.runs.writer import RunWriter
-from semviz.workspace.drive_file import CameraEntry, DriveFile, FrameEntry
-from semviz.workspace.map_decisions import ChangeDecision, ChangeDecisions, LabelPlace
-from semviz.workspace.pose_choices import PoseChoices, PoseOperation, RefinedPose
+from semviz.workspace.drive.drive_file import CameraEntry, DriveFile, FrameEntry
+from semviz.workspace.maps.map_decisions import ChangeDecision, ChangeDecisions, LabelPlace
+from semviz.workspace.poses.pose_choices import PoseChoices, PoseOperation, RefinedPose
 from semviz_annotation.label_formats.exchange import export_labels
 from semviz_annotation.labels.edits import AddObservation
 from semviz_annotation.labels.proposals import read_proposals, save_proposals
@@ -48,7 +48,7 @@ from semviz_core.base.frame import Frame
 from semviz_core.base.map_file import save_map
 from semviz_core.base.pose import Pose
 from semviz_core.base.weights import NetworkWeights
-from semviz_core.datasets.own_drive.lens import OriginalCamera
+from semviz_core.datasets.own_drive.cameras.lens import OriginalCamera
 from semviz_core.pose_checks.image_motions import ImageMotions, save_motions
 from semviz_core.pose_checks.motion import Motion
 

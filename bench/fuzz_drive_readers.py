@@ -16,18 +16,18 @@ import numpy as np
 from drive_formats import CALIBRATION, COUNT, stamps
 from drive_layouts import argoverse2, boreas, comma, euroc_layout, kitti_360, kitti_raw, nuscenes
 
-from semviz.workspace.drive_file import DriveFile, ImageFolders, open_drive
+from semviz.workspace.drive.drive_file import DriveFile, ImageFolders, open_drive
 from semviz_core.base.frame import Frame, OdometryNoise
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.measured_poses import Surroundings
 from semviz_core.datasets.measured_priors import PriorSigmas, read_odometry, read_priors
-from semviz_core.datasets.own_drive.calibration_files import read_calibration
-from semviz_core.datasets.own_drive.conventions import map_on_earth, read_extrinsic
-from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
+from semviz_core.datasets.own_drive.cameras.calibration_files import read_calibration
+from semviz_core.datasets.own_drive.cameras.lens import OriginalCamera, OriginalRig
+from semviz_core.datasets.own_drive.images.rectification import rectify_rig
+from semviz_core.datasets.own_drive.poses.conventions import map_on_earth, read_extrinsic
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles
-from semviz_core.datasets.own_drive.rectification import rectify_rig
 
 SMALL_K = np.array([[50.0, 0.0, 31.5], [0.0, 50.0, 23.5], [0.0, 0.0, 1.0]])
 BETWEEN = b"\n%%%%\n"

@@ -22,7 +22,10 @@ from map_files import small_map
 from semviz.runs import reader as run_reader
 from semviz.runs import run
 from semviz.runs.stored_run import open_run
-from semviz.workspace import foreign_results, map_decisions, pose_choices, settings
+from semviz.workspace import settings
+from semviz.workspace.localization import foreign_results
+from semviz.workspace.maps import map_decisions
+from semviz.workspace.poses import pose_choices
 from semviz_annotation.label_formats.coco import read_coco
 from semviz_annotation.label_formats.cvat import read_cvat
 from semviz_annotation.label_formats.import_context import LabelImportContext

@@ -29,7 +29,11 @@ from semviz.presentation.terminal import Table
 from semviz.runs.metrics import errors_of, is_overconfident
 from semviz.runs.run import FrameRecord, Observations
 from semviz.workspace.detect import DetectOptions, detect_images, images_of
-from semviz.workspace.localize import CROP_RADIUS_M, LocalizeOptions, localize_workspace
+from semviz.workspace.localization.localize import (
+    CROP_RADIUS_M,
+    LocalizeOptions,
+    localize_workspace,
+)
 from semviz.workspace.workspace import TRUTH, Workspace
 from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.labels.labels import Observation

@@ -22,23 +22,23 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from semviz.workspace.drive_file import DriveFile, ImageFolders
-from semviz.workspace.motion_checks import motion_checks
+from semviz.workspace.drive.drive_file import DriveFile, ImageFolders
+from semviz.workspace.drive.motion_checks import motion_checks
 from semviz_core.base.camera import Camera, Rig
 from semviz_core.base.frame import Dataset, Frame, Side
 from semviz_core.base.pose import Pose, so3_exp
 from semviz_core.base.semantic_map import MapFrame
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.datasets.kitti import KittiSequence
-from semviz_core.datasets.own_drive.calibration_files import read_calibration
-from semviz_core.datasets.own_drive.color_checks import check_colors
-from semviz_core.datasets.own_drive.conventions import NAMED_EXTRINSICS, PoseConventions
-from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
-from semviz_core.datasets.own_drive.line_checks import check_lines
-from semviz_core.datasets.own_drive.pose_remedies import compare_poses
+from semviz_core.datasets.own_drive.cameras.calibration_files import read_calibration
+from semviz_core.datasets.own_drive.cameras.lens import OriginalCamera, OriginalRig
+from semviz_core.datasets.own_drive.checks.color_checks import check_colors
+from semviz_core.datasets.own_drive.checks.line_checks import check_lines
+from semviz_core.datasets.own_drive.checks.pose_remedies import compare_poses
+from semviz_core.datasets.own_drive.images.rectification import rectify_rig
+from semviz_core.datasets.own_drive.poses.conventions import NAMED_EXTRINSICS, PoseConventions
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive, read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles
-from semviz_core.datasets.own_drive.rectification import rectify_rig
 from semviz_core.datasets.rig_cameras import DatasetWithFrames
 from semviz_core.pose_checks.comparison import DrivePoses
 from semviz_core.pose_checks.faults import check_drive

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from semviz.workspace.localize import LocalizeOptions, localize_workspace
+from semviz.workspace.localization.localize import LocalizeOptions, localize_workspace
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.mapping.build import BuildOptions, build_map

@@ -20,7 +20,7 @@ from labelling_truth import (
 )
 from playwright.sync_api import Page
 
-from semviz.annotator.draft import ProposalView
+from semviz.annotator.drawing.draft import ProposalView
 from semviz.annotator.server import Annotator
 from semviz_annotation.labels.labels import Labels, Observation
 from semviz_core.base.frame import Side

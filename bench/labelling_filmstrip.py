@@ -9,7 +9,7 @@ import numpy as np
 from drives import SIDES
 from labelling_truth import RIGHT_PX, Truth, is_about, why_wrong
 
-from semviz.annotator.proposal_views import ProposalView
+from semviz.annotator.proposals.proposal_views import ProposalView
 
 if TYPE_CHECKING:
     from labelling_driver import Labeller

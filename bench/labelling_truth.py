@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from drives import SIDES, Drive, focal_px
 
-from semviz.annotator.proposal_views import ProposalMark, ProposalView
+from semviz.annotator.proposals.proposal_views import ProposalMark, ProposalView
 from semviz_annotation.labels.labels import Labels
 from semviz_core.base.classes import DEFAULT_CLASSES
 from semviz_core.base.frame import Side

@@ -15,7 +15,12 @@ from typing import Literal
 
 import tyro
 
-from semviz.workspace.localize import CROP_RADIUS_M, LocalizeOptions, localize_workspace, record
+from semviz.workspace.localization.localize import (
+    CROP_RADIUS_M,
+    LocalizeOptions,
+    localize_workspace,
+    record,
+)
 from semviz.workspace.workspace import TRUTH, Workspace
 
 FEW = 40

@@ -26,10 +26,10 @@ from annotator_page import Killable
 from journeys.driver import LabelDriver
 from playwright.sync_api import sync_playwright
 
-from semviz.workspace.drive_file import DriveFile, ImageFolders
+from semviz.workspace.drive.drive_file import DriveFile, ImageFolders
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
-from semviz_core.datasets.own_drive.image_folder import ImageFolder
+from semviz_core.datasets.own_drive.images.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive, read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles
 from semviz_core.datasets.trajectory import T_MAP_WORLD

@@ -31,7 +31,7 @@ import tests_support  # noqa: F401
 from labelled_rig import SIGMA_PX, labels_of
 
 from semviz.annotator.views import label_element_name
-from semviz.workspace.localize import LocalizeOptions, localize_workspace
+from semviz.workspace.localization.localize import LocalizeOptions, localize_workspace
 from semviz.workspace.workspace import MAIN, Workspace
 from semviz_annotation.labels.edits import AddMany, AddObservation
 from semviz_annotation.mapping.build import build_map

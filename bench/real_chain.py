@@ -24,7 +24,7 @@ import numpy as np
 
 from semviz.research.detector_evaluation import labelled_images
 from semviz.workspace.detect import DetectOptions, detect_images, images_of
-from semviz.workspace.localize import LocalizeOptions, localize_workspace
+from semviz.workspace.localization.localize import LocalizeOptions, localize_workspace
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.detections import as_elements
 from semviz_annotation.labels.labels import Labels

@@ -13,7 +13,7 @@ import numpy as np
 
 from semviz_core.base.frame import Side
 from semviz_core.common.arrays import ByteImage
-from semviz_core.datasets.own_drive.lens import OriginalCamera
+from semviz_core.datasets.own_drive.cameras.lens import OriginalCamera
 from semviz_core.simulation.layout import StreetOptions
 from semviz_core.simulation.street import Street
 from semviz_core.simulation.street_rig import four_cameras, record_rig

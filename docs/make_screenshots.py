@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 from playwright.sync_api import Page, sync_playwright
 
-from semviz.annotator.blind_annotator import TeamAnnotator
 from semviz.annotator.server import Annotator
+from semviz.annotator.team.blind_annotator import TeamAnnotator
 from semviz.commands.detect import REPORT, DetectEvaluateCommand
 from semviz.commands.localize import LocalizeCommand
 from semviz.commands.maps import MapLocalizabilityCommand

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from semviz_core.base.pose import Pose
-from semviz_core.datasets.own_drive.lens import OriginalCamera
+from semviz_core.datasets.own_drive.cameras.lens import OriginalCamera
 
 Kind = Literal["ROS 1", "ROS 2", "MCAP"]
 KINDS: tuple[Kind, ...] = ("ROS 1", "ROS 2", "MCAP")

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from semviz_core.datasets.own_drive import line_checks, match_checks
+from semviz_core.datasets.own_drive.checks import line_checks, match_checks
 
 
 def remembering(measure: Callable[..., Any]) -> Callable[..., Any]:

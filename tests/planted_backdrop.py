@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from semviz.workspace.backdrop import backdrop_path
+from semviz.workspace.maps.backdrop import backdrop_path
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.mapping.backdrop import Backdrop, BackdropSource, save_backdrop
 from semviz_annotation.mapping.depth_fusion import Cloud, FusionOptions

@@ -10,7 +10,7 @@ from semviz_core.base.camera import Camera
 from semviz_core.base.frame import Side
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import ByteImage, FloatArray
-from semviz_core.datasets.own_drive.lens import OriginalCamera
+from semviz_core.datasets.own_drive.cameras.lens import OriginalCamera
 from semviz_core.simulation.street import Street
 
 START_S = 1_700_000_000

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from semviz.annotator.detector_proposals import Disagreement
 from semviz.annotator.element_positions import ElementPositions
-from semviz.annotator.proposal_selection import ProposalSelection
+from semviz.annotator.proposals.detector_proposals import Disagreement
+from semviz.annotator.proposals.proposal_selection import ProposalSelection
 from semviz_annotation.labels.labels import (
     Dismissal,
     LabelElement,

@@ -7,12 +7,12 @@ from collections import deque
 from collections.abc import Container
 
 from semviz.annotator import operation_texts, views
-from semviz.annotator.draft import LabelledFrameView
+from semviz.annotator.drawing.draft import LabelledFrameView
 from semviz.annotator.frame_quality import FrameQuality
 from semviz.annotator.panes import Panes
 from semviz.annotator.views import OperationView, TeamSummary
 from semviz.web.protocol import Part, RefusedError
-from semviz.workspace.pose_choices import PoseChoices
+from semviz.workspace.poses.pose_choices import PoseChoices
 from semviz_annotation.labels.labels import Labels, Review
 from semviz_annotation.storage.operations import NO_HASH, LogEnd
 from semviz_annotation.storage.store import LabelStore, Operation

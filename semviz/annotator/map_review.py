@@ -13,9 +13,9 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from semviz.annotator.detection_tracks import DetectionTrack, DetectionTracks, OpenTracks
+from semviz.annotator.tracks.detection_tracks import DetectionTrack, DetectionTracks, OpenTracks
 from semviz.web.protocol import Part, RefusedError
-from semviz.workspace.map_review import (
+from semviz.workspace.maps.map_review import (
     EntryElement,
     EntryView,
     FigureView,
@@ -172,7 +172,7 @@ class MapWork:
             self.building = None
 
     def _of_labels(self, labels: Labels) -> SemanticMap:
-        from semviz.workspace.pose_review import pose_errors
+        from semviz.workspace.poses.pose_review import pose_errors
         from semviz_annotation.mapping.build import build_map
 
         workspace = self._workspace
@@ -186,7 +186,7 @@ class MapWork:
 
     def _rebuilt(self, old: SemanticMap, labels: Labels) -> SemanticMap:
         from semviz.workspace.observations import read_detections
-        from semviz.workspace.pose_review import pose_errors
+        from semviz.workspace.poses.pose_review import pose_errors
         from semviz_annotation.mapping.build import rebuild_map
 
         detections = read_detections(self._workspace, ())
@@ -195,7 +195,7 @@ class MapWork:
         return built
 
     def _saved(self, name: str, semantic_map: SemanticMap) -> SemanticMap:
-        from semviz.workspace.pose_review import with_used_poses
+        from semviz.workspace.poses.pose_review import with_used_poses
         from semviz_core.base.map_file import save_map
 
         semantic_map = with_used_poses(semantic_map, self._workspace)

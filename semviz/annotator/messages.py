@@ -4,21 +4,22 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from pydantic import ConfigDict, Field
 
-from semviz.annotator import blind_views, people_view, pose_views, team_view, track_messages, views
-from semviz.annotator.draft import (
+from semviz.annotator import views
+from semviz.annotator.drawing.draft import (
     DraftPreview,
     DraftState,
     ElementDraft,
     LabelledFrameView,
     PagePixel,
 )
-from semviz.annotator.drive_view import (
+from semviz.annotator.drive import pose_views
+from semviz.annotator.drive.drive_view import (
     DriveEvent,
     DriveFrameEvent,
     ShowDriveFrameRequest,
     ShowDriveRequest,
 )
-from semviz.annotator.filmstrip_messages import (
+from semviz.annotator.filmstrip.filmstrip_messages import (
     FilmstripEvent,
     FilmstripRowEvent,
     FollowCorrectionsRequest,
@@ -27,7 +28,9 @@ from semviz.annotator.filmstrip_messages import (
 from semviz.annotator.history import PastFrame
 from semviz.annotator.map_review import ReviewEntry, ReviewList
 from semviz.annotator.panes import SecondImage
-from semviz.annotator.track_edits import (
+from semviz.annotator.team import blind_views, people_view, team_view
+from semviz.annotator.tracks import track_messages
+from semviz.annotator.tracks.track_edits import (
     AcceptSureTracksEdit,
     AcceptTracksEdit,
     AlignLabelsEdit,

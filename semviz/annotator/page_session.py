@@ -5,25 +5,30 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Protocol
 
 from semviz.annotator import messages
-from semviz.annotator.association import SamePlaceError
-from semviz.annotator.blind_views import OpenShareRequest
-from semviz.annotator.draft import LabelledFrameView
-from semviz.annotator.drive_requests import DriveRequests, PoseRequests, PoseServices, PoseUndo
-from semviz.annotator.filmstrip_requests import FilmstripRequests
+from semviz.annotator.drawing.association import SamePlaceError
+from semviz.annotator.drawing.draft import LabelledFrameView
+from semviz.annotator.drive.drive_requests import (
+    DriveRequests,
+    PoseRequests,
+    PoseServices,
+    PoseUndo,
+)
+from semviz.annotator.drive.pose_views import ChoosePosesRequest
+from semviz.annotator.filmstrip.filmstrip_requests import FilmstripRequests
 from semviz.annotator.page_scene import PageScene, SceneServices
 from semviz.annotator.panes import SecondImage
-from semviz.annotator.people_view import PeopleEvent, PersonView
-from semviz.annotator.pose_views import ChoosePosesRequest
 from semviz.annotator.services import SearchServices
 from semviz.annotator.session import LabelSession
 from semviz.annotator.session_results import SavedEdit
-from semviz.annotator.team_requests import REVIEWING, TeamRequests, TeamServices, needs_review
-from semviz.annotator.track_requests import TrackRequests
-from semviz.annotator.track_rows import TrackFrame, TrackRow
+from semviz.annotator.team.blind_views import OpenShareRequest
+from semviz.annotator.team.people_view import PeopleEvent, PersonView
+from semviz.annotator.team.team_requests import REVIEWING, TeamRequests, TeamServices, needs_review
+from semviz.annotator.tracks.track_requests import TrackRequests
+from semviz.annotator.tracks.track_rows import TrackFrame, TrackRow
 from semviz.annotator.views import FrameSummary, LabelsView, label_element_name
 from semviz.web import protocol
 from semviz.web.protocol import RefusedError
-from semviz.workspace.backdrop import find_backdrop
+from semviz.workspace.maps.backdrop import find_backdrop
 from semviz_annotation.storage.label_file import Health, LabelFileError
 from semviz_annotation.storage.operations import ConflictError, ReplacedLogError
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from semviz.annotator.detection_tracks import DetectionTrack, OpenTracks
 from semviz.annotator.element_positions import ElementPositions
+from semviz.annotator.tracks.detection_tracks import DetectionTrack, OpenTracks
 from semviz.web.scene import TRUTH, BackdropLayer, SceneDrawer, class_rows, elements_ends
 from semviz.web.shapes import Theme, element_segments, facing
 from semviz.web.viewpoint import Pickable, Picker, Viewer, behind

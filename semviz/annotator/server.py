@@ -12,12 +12,12 @@ from typing import TypeVar
 
 from aiohttp import web
 
-from semviz.annotator.blind_shares import BlindShares
-from semviz.annotator.drive_requests import PoseUndo
+from semviz.annotator.drive.drive_requests import PoseUndo
+from semviz.annotator.drive.pose_views import PoseWork
 from semviz.annotator.page_session import HANDLERS, AnnotatorPage
-from semviz.annotator.people_view import PersonView, people_views
-from semviz.annotator.pose_views import PoseWork
 from semviz.annotator.session import LabelSession
+from semviz.annotator.team.blind_shares import BlindShares
+from semviz.annotator.team.people_view import PersonView, people_views
 from semviz.web.protocol import RefusedError
 from semviz.web.sessions import Send, Sessions
 from semviz.web.viser_servers import ViserServers

@@ -8,9 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 
-from semviz.annotator import draft, messages, operation_texts, track_edits, track_messages, views
-from semviz.annotator.accepted_marks import accepted, unlabelled
-from semviz.annotator.association import (
+from semviz.annotator import messages, views
+from semviz.annotator.drawing import draft
+from semviz.annotator.drawing.accepted_marks import accepted, unlabelled
+from semviz.annotator.drawing.association import (
     DraftAssociation,
     LabelBelow,
     SamePlaceError,
@@ -18,22 +19,23 @@ from semviz.annotator.association import (
     associate_draft,
     label_below,
 )
-from semviz.annotator.detection_tracks import DetectionTracks
+from semviz.annotator.drawing.hidden_ends import HiddenEnds
 from semviz.annotator.element_positions import ElementPositions
 from semviz.annotator.frame_quality import FrameQuality
-from semviz.annotator.hidden_ends import HiddenEnds
 from semviz.annotator.history import HistoryView, UpdateFeed
-from semviz.annotator.image_worker import Images, ImageWorker
 from semviz.annotator.map_review import MapWork, ReviewEntry, Reviews
 from semviz.annotator.panes import Cameras, Panes, SecondImage
-from semviz.annotator.proposal_selection import ProposalSelection
-from semviz.annotator.proposal_views import proposal_views
-from semviz.annotator.proposals import ImageQuery, inside
+from semviz.annotator.proposals.image_worker import Images, ImageWorker
+from semviz.annotator.proposals.label_proposals import ImageQuery, inside
+from semviz.annotator.proposals.proposal_selection import ProposalSelection
+from semviz.annotator.proposals.proposal_views import proposal_views
 from semviz.annotator.scene_view import SceneElements
 from semviz.annotator.session_results import BesideBlind, SavedEdit, Write
-from semviz.annotator.session_tracks import SessionTracks
-from semviz.annotator.team_view import TeamWork
-from semviz.annotator.track_rows import TrackRows
+from semviz.annotator.team.team_view import TeamWork
+from semviz.annotator.tracks import track_edits, track_messages
+from semviz.annotator.tracks.detection_tracks import DetectionTracks
+from semviz.annotator.tracks.session_tracks import SessionTracks
+from semviz.annotator.tracks.track_rows import TrackRows
 from semviz.web.protocol import RefusedError
 from semviz.workspace.people import Role
 from semviz.workspace.workspace import Workspace
@@ -342,17 +344,7 @@ class LabelSession:
         return addition, association.note
 
     def _saved(self, operation: Operation) -> SavedEdit:
-        rows = [change.after for change in operation.changes]
-        element_ids = [row.element_id for row in rows if isinstance(row, Observation)]
-        has_element = element_ids and operation.kind in ("add", "link", "unlink")
-        frame = operation_texts.frame_of(operation, self.labels)
-        return SavedEdit(
-            operation=operation,
-            element_id=element_ids[0] if has_element else None,
-            frame=frame if frame in self.frames else None,
-            added=operation_texts.observations_added(operation),
-            note=operation_texts.note_on(operation, self.labels),
-        )
+        return SavedEdit.of(operation, self.labels, self.frames)
 
     # -- drafts
 

@@ -1,10 +1,12 @@
 """What a labelling session returns: an edit on disk."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from semviz.annotator import operation_texts
 from semviz_annotation.labels.edits import AnyEdit, SetAttribute
+from semviz_annotation.labels.labels import Labels, Observation
 from semviz_annotation.labels.rows import Note
 from semviz_annotation.storage.store import Operation
 
@@ -31,3 +33,18 @@ class SavedEdit:
     """Number of observations added; negative for removed ones."""
     note: str = ""
     """Message for the user."""
+
+    @classmethod
+    def of(cls, operation: Operation, labels: Labels, frames: Container[int]) -> "SavedEdit":
+        """Describe ``operation`` on ``labels``, for a page of a sequence with ``frames``."""
+        rows = [change.after for change in operation.changes]
+        element_ids = [row.element_id for row in rows if isinstance(row, Observation)]
+        has_element = element_ids and operation.kind in ("add", "link", "unlink")
+        frame = operation_texts.frame_of(operation, labels)
+        return cls(
+            operation=operation,
+            element_id=element_ids[0] if has_element else None,
+            frame=frame if frame in frames else None,
+            added=operation_texts.observations_added(operation),
+            note=operation_texts.note_on(operation, labels),
+        )

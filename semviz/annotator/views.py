@@ -5,14 +5,14 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 
-from semviz.annotator.association import NearbyElement
-from semviz.annotator.detector_proposals import Disagreement
+from semviz.annotator.drawing.association import NearbyElement
 from semviz.annotator.frame_quality import FrameFacts
 from semviz.annotator.map_review import MapSummary
 from semviz.annotator.panes import Pane, Panes
+from semviz.annotator.proposals.detector_proposals import Disagreement
 from semviz.web.protocol import ImageSize, Part
 from semviz.workspace.blind import BlindWorkspace
-from semviz.workspace.map_decisions import asked_by_frame, decisions_path
+from semviz.workspace.maps.map_decisions import asked_by_frame, decisions_path
 from semviz.workspace.people import Role
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import (

@@ -11,9 +11,9 @@ from pathlib import Path
 
 from semviz.batch.batch import DriveOutcome, Plan
 from semviz.collection.collection import Drive
-from semviz.workspace.drive_file import DRIVE_FILE
-from semviz.workspace.pose_choices import FILE as POSE_CHOICES
-from semviz.workspace.pose_review import FILE as MOTIONS
+from semviz.workspace.drive.drive_file import DRIVE_FILE
+from semviz.workspace.poses.pose_choices import FILE as POSE_CHOICES
+from semviz.workspace.poses.pose_review import FILE as MOTIONS
 from semviz.workspace.settings import SETTINGS, KittiSettings, find_place
 from semviz.workspace.workspace import MAIN, Workspace
 from semviz_annotation.storage.integrity import last_hash

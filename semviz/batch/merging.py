@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from semviz.batch.batch import DriveBatch, DriveOutcome
-from semviz_annotation.mapping.association.tracks import OnProgress
 from semviz_annotation.mapping.drives.corrections import PoseErrors
 from semviz_annotation.mapping.drives.former_ids import with_former_ids
 from semviz_annotation.mapping.drives.merge import MergeOptions
@@ -17,6 +16,7 @@ from semviz_annotation.mapping.drives.merged_map import merge_maps
 from semviz_core.base.map_file import load_map
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.errors import SemvizError
+from semviz_core.common.progress import OnProgress
 from semviz_core.map_tiles.manifest import read_manifest, versions
 from semviz_core.map_tiles.publish import publish_map
 from semviz_core.map_tiles.tiled_map import TiledMap

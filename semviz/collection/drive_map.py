@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from semviz.workspace.localize import ROAD_RADIUS_M
-from semviz.workspace.measurements import MeasurementFiles
+from semviz.workspace.localization.localize import ROAD_RADIUS_M
+from semviz.workspace.localization.measurements import MeasurementFiles
 from semviz.workspace.observations import FAR_M
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.mapping.drives.merged_map import in_frame

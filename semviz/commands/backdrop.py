@@ -46,8 +46,8 @@ class MapBackdropCommand:
 
     def run(self) -> int:
         from semviz.presentation.terminal import Steps
-        from semviz.workspace.backdrop import backdrop_path, ensure_backdrop
         from semviz.workspace.chosen_frames import select_frames
+        from semviz.workspace.maps.backdrop import backdrop_path, ensure_backdrop
         from semviz_annotation.mapping.depth_fusion import FusionOptions
 
         options = FusionOptions(self.max_depth_m, self.voxel_m, self.max_points)

@@ -15,8 +15,8 @@ from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
     from semviz.runs.run import Observations
-    from semviz.workspace.localize import LocalizeOptions, SequenceLocalization
-    from semviz.workspace.measurements import MeasurementFiles, Measurements
+    from semviz.workspace.localization.localize import LocalizeOptions, SequenceLocalization
+    from semviz.workspace.localization.measurements import MeasurementFiles, Measurements
     from semviz.workspace.workspace import Workspace
     from semviz_core.base.detector_model import DetectorCalibration
     from semviz_core.base.frame import Frame
@@ -90,8 +90,8 @@ class LocalizeCommand:
     """Print one JSON object instead of lines: the run's file, and frames by status."""
 
     def run(self) -> int:
-        from semviz.workspace import localize
         from semviz.workspace.chosen_frames import select_frames
+        from semviz.workspace.localization import localize
 
         self._check()
         workspace = parsing.open_workspace(self.workspace)
@@ -140,7 +140,7 @@ class LocalizeCommand:
     def _options(
         self, observations: "Observations", calibration: "DetectorCalibration | None"
     ) -> "LocalizeOptions":
-        from semviz.workspace import localize
+        from semviz.workspace.localization import localize
 
         given, least_score, crop_radius = self.measurements, self.least_score, self.crop_radius
         if least_score is None:

@@ -13,7 +13,7 @@ from semviz.commands import parsing
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
-    from semviz.workspace.map_decisions import ChangeDecisions
+    from semviz.workspace.maps.map_decisions import ChangeDecisions
     from semviz.workspace.workspace import Workspace
     from semviz_annotation.map_formats.georeference import Georeference
     from semviz_annotation.mapping.passes.changes import MapChanges
@@ -56,7 +56,7 @@ class MapChangesCommand:
 
     def run(self) -> int:
         from semviz.presentation.terminal import Steps, announce_compiling
-        from semviz.workspace.map_decisions import decisions_path, read_decisions
+        from semviz.workspace.maps.map_decisions import decisions_path, read_decisions
         from semviz_annotation.mapping.passes.changed_map import changed_map
         from semviz_annotation.mapping.passes.changes import find_changes
         from semviz_core.base.map_file import save_map
@@ -116,7 +116,7 @@ class MapChangesCommand:
         self, workspace: "Workspace", found: "MapChanges", before: "ChangeDecisions"
     ) -> "ChangeDecisions":
         """Store what is kept, and that what is open and sure is changed."""
-        from semviz.workspace.map_decisions import Answer, decide_in
+        from semviz.workspace.maps.map_decisions import Answer, decide_in
         from semviz.workspace.settings import login_name
 
         digest = found.semantic_map.digest
@@ -137,7 +137,7 @@ def _write_geojson(
     passes: "Iterable[Pass]",
     decisions: "ChangeDecisions",
 ) -> None:
-    from semviz.workspace.passes import date_of
+    from semviz.workspace.maps.passes import date_of
     from semviz_annotation.map_formats.changes_geojson import write_changes
 
     decided = {
@@ -150,7 +150,7 @@ def _write_geojson(
 
 def _passes(paths: Iterable[Path], semantic_map: "SemanticMap") -> "list[Pass]":
     from semviz.runs.stored_run import from_sound_frames
-    from semviz.workspace.passes import check_drive, in_time, pass_of
+    from semviz.workspace.maps.passes import check_drive, in_time, pass_of
 
     passes = [
         from_sound_frames(path, partial(pass_of, path.stem, frame=semantic_map.frame))
@@ -163,7 +163,7 @@ def _passes(paths: Iterable[Path], semantic_map: "SemanticMap") -> "list[Pass]":
 
 
 def _decision_lines(found: "MapChanges", decisions: "ChangeDecisions") -> Iterator[str]:
-    from semviz.workspace.map_decisions import answer_word
+    from semviz.workspace.maps.map_decisions import answer_word
 
     for change in found.changes:
         decision = decisions.on(change, found.semantic_map.digest)

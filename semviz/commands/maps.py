@@ -13,12 +13,15 @@ from semviz.commands.poses import known_pose_review
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
+    from semviz.workspace.poses.pose_review import PoseReview
     from semviz.workspace.workspace import Workspace
+    from semviz_annotation.labels.proposals import Proposals
     from semviz_annotation.mapping.association.detection_tracks import TrackOptions
-    from semviz_annotation.mapping.build import BuildOptions
+    from semviz_annotation.mapping.build import BuildOptions, BuildReport
     from semviz_annotation.mapping.paper_baseline import PaperOptions
     from semviz_core.base.frame import Frame
     from semviz_core.base.semantic_map import SemanticMap
+    from semviz_core.common.jit import Stopwatch
     from semviz_core.localizability.route import Conditions
 
 _METHOD_OPTIONS = {
@@ -70,10 +73,9 @@ class MapBuildCommand:
 
     def run(self) -> int:
         from semviz.presentation.terminal import Steps, announce_compiling
-        from semviz.reports.pose_check import review_as_dict, review_lines
         from semviz.workspace.observations import read_detections
         from semviz.workspace.outputs import PARQUET, check_outputs
-        from semviz.workspace.pose_review import pose_errors, with_used_poses
+        from semviz.workspace.poses.pose_review import pose_errors, with_used_poses
         from semviz_annotation.mapping.build import DEFAULT_TRACKING, build_map
         from semviz_core.base.map_file import save_map
         from semviz_core.common.jit import Stopwatch
@@ -105,24 +107,37 @@ class MapBuildCommand:
             )
         built = with_used_poses(built, workspace)
         save_map(built, path)
-        poses = known_pose_review(workspace)
+        self._print(built, path, report, known_pose_review(workspace), detections, watch)
+        return 0
+
+    def _print(
+        self,
+        built: "SemanticMap",
+        path: Path,
+        report: "BuildReport",
+        poses: "PoseReview | None",
+        detections: "Proposals | None",
+        watch: "Stopwatch",
+    ) -> None:
+        from semviz.reports.pose_check import review_as_dict, review_lines
+
         report = replace(report, in_wrong_poses=poses.wrong_observations if poses else frozenset())
         if self.json:
             said = {} if poses is None else {"poses": review_as_dict(poses)}
             if detections is not None:
                 said["ms"] = watch.time_ms
             print(json.dumps({"map": str(path), **report.as_dict(), **said}))
-        else:
-            for line in [] if poses is None else review_lines(poses):
-                print(line)
-            print(report)
-            if detections is not None:
-                rows = (row for row in detections.rows() if not frames or row.frame_index in frames)
-                images = {(row.frame_index, row.side) for row in rows}
-                seconds = watch.time_ms["linking"] / 1e3
-                print(f"linked the detections in {len(images)} images in {seconds:.1f} s")
-            print(f"{path}: {len(built)} elements, {path.stat().st_size / 1000:.0f} kB")
-        return 0
+            return
+        for line in [] if poses is None else review_lines(poses):
+            print(line)
+        print(report)
+        if detections is not None:
+            frames = parsing.parse_frames(self.frames)
+            rows = (row for row in detections.rows() if not frames or row.frame_index in frames)
+            images = {(row.frame_index, row.side) for row in rows}
+            seconds = watch.time_ms["linking"] / 1e3
+            print(f"linked the detections in {len(images)} images in {seconds:.1f} s")
+        print(f"{path}: {len(built)} elements, {path.stat().st_size / 1000:.0f} kB")
 
     def _options(self) -> "BuildOptions | PaperOptions":
         from semviz_annotation.mapping.build import BuildOptions
@@ -196,7 +211,7 @@ class MapCheckCommand:
 
         from semviz.reports.pose_check import review_as_dict, review_lines
         from semviz.workspace.observations import read_labels_of
-        from semviz.workspace.pose_review import pose_change
+        from semviz.workspace.poses.pose_review import pose_change
         from semviz_annotation.mapping.quality.check import Gate, check_map
 
         workspace = parsing.open_workspace(self.workspace)
@@ -282,8 +297,9 @@ class MapLocalizabilityCommand:
 
     def run(self) -> int:
         from semviz.presentation.terminal import announce_compiling, track
-        from semviz.workspace import localizability, outputs
+        from semviz.workspace import outputs
         from semviz.workspace.chosen_frames import check_map_frame, select_frames
+        from semviz.workspace.localization import localizability
         from semviz_core.localizability.predict import predict
 
         if self.plot is not None:
@@ -312,8 +328,8 @@ def _conditions(
 ) -> "Conditions":
     """Return the conditions of ``semviz localize``, with the recall of the labels if there are
     any."""
-    from semviz.workspace.localizability import conditions_of, with_measured_recall
-    from semviz.workspace.localize import CROP_RADIUS_M, LocalizeOptions
+    from semviz.workspace.localization.localizability import conditions_of, with_measured_recall
+    from semviz.workspace.localization.localize import CROP_RADIUS_M, LocalizeOptions
     from semviz.workspace.observations import observe_labels
 
     kind = workspace.default_observations

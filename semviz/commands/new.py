@@ -240,7 +240,12 @@ class NewCommand:
             print_warning,
             write_refined,
         )
-        from semviz.workspace.drive_check_file import CHECKS, DriveChecks, StepErrors, save_checks
+        from semviz.workspace.drive.drive_check_file import (
+            CHECKS,
+            DriveChecks,
+            StepErrors,
+            save_checks,
+        )
         from semviz.workspace.workspace import Workspace
         from semviz_core.datasets.own_drive.recorded_drive import read_drive
         from semviz_core.datasets.validation import unusual_motion
@@ -354,7 +359,7 @@ class NewCommand:
         """Print a line for each fault of the poses; with images only if asked."""
         from semviz.presentation.terminal import Steps
         from semviz.reports.pose_check import warning_lines
-        from semviz.workspace.pose_review import check_poses
+        from semviz.workspace.poses.pose_review import check_poses
         from semviz_core.datasets.rig_cameras import frames_of_camera
         from semviz_core.pose_checks.faults import suspicions
 

@@ -14,7 +14,7 @@ from tyro.conf import arg
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
-    from semviz.workspace.measurements import MeasurementFiles
+    from semviz.workspace.localization.measurements import MeasurementFiles
     from semviz.workspace.workspace import Workspace
     from semviz_annotation.map_formats.georeference import Georeference
     from semviz_core.base.detector_model import DetectorCalibration
@@ -200,7 +200,7 @@ class MeasurementOptions:
 
     def files(self, heading_sigma_deg: float | None) -> "MeasurementFiles":
         """Return the files with what these options say of them."""
-        from semviz.workspace.measurements import MeasurementFiles
+        from semviz.workspace.localization.measurements import MeasurementFiles
         from semviz_core.base.frame import OdometryNoise
         from semviz_core.datasets.measured_priors import PriorSigmas
 

@@ -11,8 +11,8 @@ from semviz.commands import parsing
 from semviz_core.common.errors import SemvizError
 
 if TYPE_CHECKING:
-    from semviz.workspace.pose_choices import Choice, PoseOperation, Subject
-    from semviz.workspace.pose_review import PoseReview
+    from semviz.workspace.poses.pose_choices import Choice, PoseOperation, Subject
+    from semviz.workspace.poses.pose_review import PoseReview
     from semviz.workspace.workspace import Workspace
     from semviz_core.pose_checks.faults import PoseCheck
 
@@ -40,7 +40,7 @@ class PosesCheckCommand:
 
     def run(self) -> int:
         from semviz.reports.pose_check import check_text, choice_lines, draw_check
-        from semviz.workspace.pose_labels import label_evidence
+        from semviz.workspace.poses.pose_labels import label_evidence
 
         _check_plot(self.plot, self.workspace, self.force)
         check = _checked(self.workspace, self.frames, self.camera)
@@ -138,7 +138,7 @@ class PosesChooseCommand:
 
     def run(self) -> int:
         from semviz.reports.pose_check import choice_text
-        from semviz.workspace.pose_review import step_choices
+        from semviz.workspace.poses.pose_review import step_choices
 
         workspace = parsing.open_workspace(self.workspace)
         if self.choice in _STEPS:
@@ -159,7 +159,7 @@ class PosesChooseCommand:
 
     def _choose(self, workspace: "Workspace") -> "list[PoseOperation]":
         from semviz.presentation.terminal import Steps
-        from semviz.workspace.pose_review import PoseReview, check_poses, choose_poses
+        from semviz.workspace.poses.pose_review import PoseReview, check_poses, choose_poses
         from semviz.workspace.settings import login_name
         from semviz_core.datasets.rig_cameras import frames_of_camera
 
@@ -195,7 +195,7 @@ class PosesChooseCommand:
 
 def known_pose_review(workspace: "Workspace") -> "PoseReview | None":
     """Return the faults of poses that an earlier check of all frames measured; None without one."""
-    from semviz.workspace.pose_review import PoseReview, known_check
+    from semviz.workspace.poses.pose_review import PoseReview, known_check
 
     check = known_check(workspace)
     return None if check is None else PoseReview.of(workspace, check, workspace.read_labels())
@@ -204,7 +204,7 @@ def known_pose_review(workspace: "Workspace") -> "PoseReview | None":
 def _checked(path: Path, frames: str | None, camera: str | None) -> "PoseCheck":
     from semviz.presentation.terminal import Steps
     from semviz.workspace.chosen_frames import select_frames
-    from semviz.workspace.pose_review import check_poses
+    from semviz.workspace.poses.pose_review import check_poses
 
     workspace = parsing.open_workspace(path)
     chosen = select_frames(workspace.source, parsing.parse_frames(frames), camera)

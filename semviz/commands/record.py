@@ -45,8 +45,9 @@ class RecordCommand:
 
     def run(self) -> int:
         from semviz.runs.recorder import RunRecorder
-        from semviz.workspace import foreign_results, outputs
+        from semviz.workspace import outputs
         from semviz.workspace.chosen_frames import select_frames
+        from semviz.workspace.localization import foreign_results
         from semviz_core.datasets.measured_poses import read_poses_or_table
 
         workspace, given = parsing.open_workspace(self.workspace), self.measurements

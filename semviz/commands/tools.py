@@ -52,7 +52,7 @@ class AnnotateCommand:
     def run(self) -> int:
         if self.invite is not None or self.revoke is not None:
             return self._change_people()
-        from semviz.annotator.blind_annotator import TeamAnnotator
+        from semviz.annotator.team.blind_annotator import TeamAnnotator
         from semviz.presentation.terminal import announce_compiling
         from semviz.workspace.demo import ensure_demo
 

@@ -11,7 +11,7 @@ from semviz.inspector import views_run
 from semviz.inspector.context import Background, Panel, RunLibrary
 from semviz.inspector.image import right_view
 from semviz.inspector.messages import CheckGatesRequest, CompareRunsRequest
-from semviz.inspector.scene_cameras import BaseFrame, route
+from semviz.inspector.scene.scene_cameras import BaseFrame, route
 from semviz.inspector.views import frame_view, run_head
 from semviz.runs.comparison import Comparison, compare_runs
 from semviz.runs.differences import MapChange, map_changes, renumbered, setups

@@ -20,7 +20,7 @@ from typing import Any, Generic, TypeVar, cast
 from aiohttp import web
 
 from semviz.inspector import views, views_run
-from semviz.inspector.scene_view import InspectorScene
+from semviz.inspector.scene.scene_view import InspectorScene
 from semviz.inspector.state import State
 from semviz.runs.codec import DamagedRowError
 from semviz.runs.frame_table import frame_table

@@ -16,7 +16,7 @@ from semviz.inspector.element_card import workspace_of
 from semviz.inspector.label_repair import unseen
 from semviz.runs.run import Run
 from semviz.web.protocol import RefusedError, handles
-from semviz.workspace.map_review import EntryView, entry_key, entry_view
+from semviz.workspace.maps.map_review import EntryView, entry_key, entry_view
 from semviz.workspace.settings import login_name
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.mapping.decisions import edit_of

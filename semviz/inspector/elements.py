@@ -21,7 +21,7 @@ from semviz.runs.frame_table import frame_table
 from semviz.runs.run import Run
 from semviz.runs.story import RunStory, tell, typical_positions
 from semviz.web.protocol import handles
-from semviz.workspace import localizability
+from semviz.workspace.localization import localizability
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.diagnosis.checks import same_positions

@@ -20,7 +20,7 @@ from semviz.runs.images import project_elements
 from semviz.runs.run import FrameRecord, Run
 from semviz.web.protocol import RefusedError, handles
 from semviz.what_if.solve import describe_sweep, free_path
-from semviz.workspace.rebuild import rebuild_run
+from semviz.workspace.localization.rebuild import rebuild_run
 from semviz.workspace.settings import login_name
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.edits import AddElements, AnyEdit, DecideElements, Link, NewElement
@@ -151,7 +151,7 @@ class RunLabels:
 
     def _reject(self, element_id: int, track: tuple[Proposal, ...], base: EditBase | None) -> None:
         """Add a track of detections as an element that is left out of maps."""
-        from semviz.annotator.detection_tracks import free_detections, mark_of
+        from semviz.annotator.tracks.detection_tracks import free_detections, mark_of
 
         track_id, labels = self._label_ids_of_map(element_id)[0], self.workspace.read_labels()
         rows = tuple(

@@ -7,14 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from semviz.inspector import (
-    over_time_requests,
-    views,
-    views_frame,
-    views_over_time,
-    views_run,
-    what_if_options,
-)
+from semviz.inspector import views, views_frame, views_run, what_if_options
+from semviz.inspector.map_over_time import over_time_requests, views_over_time
 from semviz.inspector.state import ImageMode, MapColors, View
 from semviz.inspector.views_run import BaseFrameEvent, ComparisonEvent, GatesEvent
 from semviz.web.protocol import (

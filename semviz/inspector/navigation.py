@@ -8,12 +8,12 @@ import numpy as np
 from semviz.inspector import messages
 from semviz.inspector.context import Panel
 from semviz.inspector.element_card import workspaces_near
-from semviz.inspector.scene_map import ELLIPSOID_SCALE
+from semviz.inspector.scene.scene_map import ELLIPSOID_SCALE
 from semviz.inspector.state import State
 from semviz.inspector.views import MapColorsEvent, ViewpointEvent
 from semviz.web.protocol import BackdropEvent, SetBackdropRequest, SetThemeRequest, handles
 from semviz.web.viewpoint import Viewpoint
-from semviz.workspace.backdrop import FoundBackdrop, find_backdrop
+from semviz.workspace.maps.backdrop import FoundBackdrop, find_backdrop
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 

@@ -12,9 +12,9 @@ from semviz.inspector.decisions import DecisionPanel
 from semviz.inspector.elements import ElementPanel, ForecastPanel
 from semviz.inspector.image import ImagePanel, RenderPanel
 from semviz.inspector.label_repair import LabelRepairPanel
+from semviz.inspector.map_over_time.over_time_panel import OverTimePanel, changes_route
 from semviz.inspector.messages import InspectorRequest
 from semviz.inspector.navigation import BackdropPanel, NavigationPanel, ViewpointPanel
-from semviz.inspector.over_time_panel import OverTimePanel, changes_route
 from semviz.inspector.selection import SelectionPanel, matrix_route
 from semviz.inspector.solver import SolverPanel
 from semviz.inspector.story import StoryPanel

@@ -9,7 +9,7 @@ import numpy as np
 from semviz.inspector import views_frame
 from semviz.inspector.context import Panel
 from semviz.inspector.messages import GetSolverRequest, ShowSearchPoseRequest
-from semviz.inspector.scene_cameras import SearchPose
+from semviz.inspector.scene.scene_cameras import SearchPose
 from semviz.inspector.views import number
 from semviz.runs.metrics import difference
 from semviz.runs.run import TRACK, FrameRecord, Run

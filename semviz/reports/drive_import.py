@@ -14,16 +14,16 @@ from typing import TextIO
 import numpy as np
 
 from semviz.presentation.terminal import track
-from semviz.workspace.drive_check_file import CHECKS, DriveCheck, read_checks
-from semviz.workspace.drive_checks import DriveFindings, check_drive_files, right_turn_rad
-from semviz.workspace.drive_file import LEFT_OUT, DriveFile, ImageFolders, calibration_toml
+from semviz.workspace.drive.drive_check_file import CHECKS, DriveCheck, read_checks
+from semviz.workspace.drive.drive_checks import DriveFindings, check_drive_files, right_turn_rad
+from semviz.workspace.drive.drive_file import LEFT_OUT, DriveFile, ImageFolders, calibration_toml
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.frame import Side
 from semviz_core.base.pose import angle_between
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
-from semviz_core.datasets.own_drive import match_checks
-from semviz_core.datasets.own_drive.image_folder import ImageFolder
+from semviz_core.datasets.own_drive.checks import match_checks
+from semviz_core.datasets.own_drive.images.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import RecordedDrive
 
 ROW_PICTURE = Path("checks", "rows.png")

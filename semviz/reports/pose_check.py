@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from semviz.presentation.plots import COLORS, add_grid, new_figure, save_png
-from semviz.workspace.pose_choices import Choice, PoseOperation
-from semviz.workspace.pose_review import PoseReview, PoseStretch, used_poses
+from semviz.workspace.poses.pose_choices import Choice, PoseOperation
+from semviz.workspace.poses.pose_review import PoseReview, PoseStretch, used_poses
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import check_replaceable
 from semviz_core.pose_checks.comparison import BASELINE, RIGHT_U, RIGHT_V

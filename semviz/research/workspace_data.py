@@ -20,7 +20,7 @@ import numpy as np
 from semviz.annotator import element_positions
 from semviz.annotator.panes import Cameras
 from semviz.workspace.chosen_frames import check_map_frame
-from semviz.workspace.localize import CROP_RADIUS_M, ROAD_RADIUS_M
+from semviz.workspace.localization.localize import CROP_RADIUS_M, ROAD_RADIUS_M
 from semviz.workspace.observations import observe_labels
 from semviz.workspace.workspace import MAIN, Workspace
 from semviz_annotation.labels.labels import Labels, proposal_id

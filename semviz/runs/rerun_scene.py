@@ -14,7 +14,7 @@ from semviz_core.base.classes import ClassSet
 from semviz_core.base.localization import Localization, Refinement
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
-from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.common.arrays import FloatArray, IntArray, unit_vectors
 
 OBSERVED, PROJECTED = f"{run.IMAGE}/observed", f"{run.IMAGE}/projected"
 TRUE = f"{run.IMAGE}/projected_truth"
@@ -172,7 +172,7 @@ def _image_residuals(
     is_line = observed.is_line[rows, None]
     anchor, end = _project(result, T_camera_map, map_rows)
     along = end - anchor
-    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    along = unit_vectors(along)
 
     def residual_of(points_px: FloatArray) -> FloatArray:
         gap = points_px - anchor

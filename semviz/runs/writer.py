@@ -35,60 +35,14 @@ from semviz_core.common.files import check_output, check_replaceable, replacing
 
 def make_blueprint(info: RunInfo, semantic_map: SemanticMap) -> Any:
     """Return rerun's layout: 3D view and image, texts and matrix on the right, plots below."""
-    everything = rrb.VisibleTimeRanges(
-        timeline=FRAME,
-        start=rrb.TimeRangeBoundary.infinite(),
-        end=rrb.TimeRangeBoundary.infinite(),
-    )
-    paths: dict[Any, Any] = dict.fromkeys((rerun_scene.TRUE_PATH, rerun_scene.PATH), everything)
-    start, behind = _start_and_eye(semantic_map.trajectory_m)
-    eye = rrb.EyeControls3D(position=behind, look_target=start, tracking_entity=rerun_scene.HERE)
-    image: Any = rrb.Spatial2DView(name="Image", origin=run.IMAGE)
-    if info.images == "both":
-        image = rrb.Tabs(image, rrb.Spatial2DView(name="Right image", origin=run.IMAGE_RIGHT))
-    columns = rrb.TextLogColumns(
-        timeline_columns=[rrb.encodings.TimelineColumn(FRAME)],
-        text_log_columns=["loglevel", "body"],
-    )
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
-                rrb.Vertical(
-                    rrb.Spatial3DView(
-                        name="Map and poses",
-                        origin="/map",
-                        contents=["$origin/**", f"- {run.RIGHT_CAMERA}/**"],
-                        overrides=paths,
-                        eye_controls=eye,
-                    ),
-                    image,
-                    row_shares=[6, 5],
-                ),
-                rrb.Vertical(
-                    rrb.Tabs(
-                        rrb.TextDocumentView(name="Why", origin=rerun_plots.WHY),
-                        rrb.TextDocumentView(name="How to read this", origin=rerun_scene.README),
-                    ),
-                    rrb.Spatial2DView(name="Match probability", origin=rerun_scene.MATRIX),
-                ),
+                rrb.Vertical(_map_view(semantic_map), _image_views(info), row_shares=[6, 5]),
+                _texts_and_matrix(),
                 column_shares=[5, 2],
             ),
-            rrb.Horizontal(
-                rrb.Vertical(
-                    rrb.Tabs(
-                        _error_view("Error, m", rerun_plots.ERROR_M),
-                        _error_view("Error, deg", rerun_plots.ERROR_DEG),
-                    ),
-                    rrb.StateTimelineView(
-                        name="Status and diagnosis",
-                        contents=[rerun_plots.STATUSES, rerun_plots.DIAGNOSES],
-                    ),
-                    row_shares=[1, 1],
-                ),
-                rrb.TimeSeriesView(name="Elements", origin=rerun_plots.COUNTS),
-                rrb.TextLogView(name="Reasons", origin=rerun_plots.WHY, columns=columns),
-                column_shares=[3, 2, 2],
-            ),
+            _plots(),
             row_shares=[7, 4],
         ),
         rrb.TimePanel(timeline=FRAME, state="collapsed"),
@@ -96,6 +50,67 @@ def make_blueprint(info: RunInfo, semantic_map: SemanticMap) -> Any:
         rrb.SelectionPanel(state="collapsed"),
         auto_layout=False,
         auto_views=False,
+    )
+
+
+def _map_view(semantic_map: SemanticMap) -> Any:
+    """Map and poses in 3D, from behind the camera; both paths are shown at all times."""
+    everything = rrb.VisibleTimeRanges(
+        timeline=FRAME,
+        start=rrb.TimeRangeBoundary.infinite(),
+        end=rrb.TimeRangeBoundary.infinite(),
+    )
+    paths: dict[Any, Any] = dict.fromkeys((rerun_scene.TRUE_PATH, rerun_scene.PATH), everything)
+    start, behind = _start_and_eye(semantic_map.trajectory_m)
+    return rrb.Spatial3DView(
+        name="Map and poses",
+        origin="/map",
+        contents=["$origin/**", f"- {run.RIGHT_CAMERA}/**"],
+        overrides=paths,
+        eye_controls=rrb.EyeControls3D(
+            position=behind, look_target=start, tracking_entity=rerun_scene.HERE
+        ),
+    )
+
+
+def _image_views(info: RunInfo) -> Any:
+    image = rrb.Spatial2DView(name="Image", origin=run.IMAGE)
+    if info.images != "both":
+        return image
+    return rrb.Tabs(image, rrb.Spatial2DView(name="Right image", origin=run.IMAGE_RIGHT))
+
+
+def _texts_and_matrix() -> Any:
+    return rrb.Vertical(
+        rrb.Tabs(
+            rrb.TextDocumentView(name="Why", origin=rerun_plots.WHY),
+            rrb.TextDocumentView(name="How to read this", origin=rerun_scene.README),
+        ),
+        rrb.Spatial2DView(name="Match probability", origin=rerun_scene.MATRIX),
+    )
+
+
+def _plots() -> Any:
+    """Errors, status and diagnosis over the frames, numbers of elements, and reasons."""
+    columns = rrb.TextLogColumns(
+        timeline_columns=[rrb.encodings.TimelineColumn(FRAME)],
+        text_log_columns=["loglevel", "body"],
+    )
+    return rrb.Horizontal(
+        rrb.Vertical(
+            rrb.Tabs(
+                _error_view("Error, m", rerun_plots.ERROR_M),
+                _error_view("Error, deg", rerun_plots.ERROR_DEG),
+            ),
+            rrb.StateTimelineView(
+                name="Status and diagnosis",
+                contents=[rerun_plots.STATUSES, rerun_plots.DIAGNOSES],
+            ),
+            row_shares=[1, 1],
+        ),
+        rrb.TimeSeriesView(name="Elements", origin=rerun_plots.COUNTS),
+        rrb.TextLogView(name="Reasons", origin=rerun_plots.WHY, columns=columns),
+        column_shares=[3, 2, 2],
     )
 
 

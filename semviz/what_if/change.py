@@ -16,7 +16,7 @@ import numpy as np
 
 from semviz.runs.diagnosis import detector_of
 from semviz.runs.run import FrameRecord, Run
-from semviz.workspace.localize import CROP_RADIUS_M, ROAD_RADIUS_M
+from semviz.workspace.localization.localize import CROP_RADIUS_M, ROAD_RADIUS_M
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Prior
 from semviz_core.base.pose import Pose

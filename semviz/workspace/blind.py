@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from semviz.workspace.outputs import checked_name
-from semviz.workspace.pose_choices import PoseChoices
+from semviz.workspace.poses.pose_choices import PoseChoices
 from semviz.workspace.workspace import BLIND, Workspace
 from semviz_core.base.camera import Rig
 from semviz_core.base.frame import Dataset, FileDataset

@@ -17,13 +17,13 @@ import numpy as np
 import platformdirs
 
 from semviz.runs.run import detector_model
-from semviz.workspace import localize
-from semviz.workspace.observations import observe_simulated
-from semviz.workspace.simulated_measurements import (
+from semviz.workspace.localization import localize
+from semviz.workspace.localization.simulated_measurements import (
     PriorSource,
     simulated_odometry,
     simulated_prior,
 )
+from semviz.workspace.observations import observe_simulated
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.assist.marked_image import Mark
 from semviz_annotation.label_formats.import_plan import ImportLabels

@@ -31,10 +31,10 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from semviz.workspace import drive_file
+from semviz.workspace.drive import drive_file
 from semviz.workspace.outputs import check_empty, checked_name
-from semviz.workspace.pose_choices import FILE as POSE_CHOICES
-from semviz.workspace.pose_choices import PoseChoices, read_choices
+from semviz.workspace.poses.pose_choices import FILE as POSE_CHOICES
+from semviz.workspace.poses.pose_choices import PoseChoices, read_choices
 from semviz.workspace.settings import (
     SETTINGS,
     STREET_FRAMES,

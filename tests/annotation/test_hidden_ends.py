@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from semviz.annotator.hidden_ends import GroundModel
+from semviz.annotator.drawing.hidden_ends import GroundModel
 from semviz_core.common.arrays import FloatArray
 
 DRIVE: FloatArray = np.array([[x, 0.0, 101.65] for x in range(8)], dtype=np.float64)

@@ -12,8 +12,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from streets import street_workspace
 
-from semviz.annotator.association import CONSISTENT_PX, SamePlaceError
-from semviz.annotator.draft import DraftState, ElementDraft
+from semviz.annotator.drawing.association import CONSISTENT_PX, SamePlaceError
+from semviz.annotator.drawing.draft import DraftState, ElementDraft
 from semviz.annotator.element_positions import reprojection_error_px
 from semviz.annotator.messages import UndoEdit
 from semviz.annotator.page_session import same_place

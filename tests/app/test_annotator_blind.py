@@ -15,9 +15,9 @@ from annotator_page import WAIT_MS, draw_on, opened_pages, settled
 from streets import street_workspace
 
 from semviz.annotator import messages
-from semviz.annotator.blind_annotator import TeamAnnotator
-from semviz.annotator.blind_shares import chosen_frames
-from semviz.annotator.blind_views import compared_event, share_views
+from semviz.annotator.team.blind_annotator import TeamAnnotator
+from semviz.annotator.team.blind_shares import chosen_frames
+from semviz.annotator.team.blind_views import compared_event, share_views
 from semviz.web.gateway import Gateway
 from semviz.web.protocol import RefusedError
 from semviz.workspace.blind import blind_workspace

@@ -14,9 +14,9 @@ from streets import street_workspace
 from support.street_labels import careful, label_street
 
 from semviz.annotator.panes import Pane
-from semviz.annotator.proposal_selection import select_distinct
-from semviz.annotator.proposal_views import ProposalMark, ProposalView
-from semviz.annotator.proposals import ImageSearchResult, LabelProposal, Origin
+from semviz.annotator.proposals.label_proposals import ImageSearchResult, LabelProposal, Origin
+from semviz.annotator.proposals.proposal_selection import select_distinct
+from semviz.annotator.proposals.proposal_views import ProposalMark, ProposalView
 from semviz.annotator.session import LabelSession
 from semviz.annotator.views import FrameSummary
 from semviz_annotation.assist.marked_image import Mark, ProposedMark

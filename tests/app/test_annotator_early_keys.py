@@ -15,7 +15,7 @@ from semviz.annotator import messages
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-    from semviz.annotator.proposals import ImageQuery
+    from semviz.annotator.proposals.label_proposals import ImageQuery
     from semviz.web.protocol import Event
 
 FOR_ALL = ["Control+Enter", "Control+Shift+Enter"]

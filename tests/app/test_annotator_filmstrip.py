@@ -1,12 +1,11 @@
 """The filmstrip of the labelling page: key frames first, then the frames between by one key."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from annotator_page import Served, annotating
+from annotator_page import Served
 from journeys.driver import LabelDriver
 from labelled_street import label_street
 from streets import street, street_workspace
@@ -30,12 +29,6 @@ def workspace(tmp_path: Path) -> Workspace:
     with made.open_labels() as store:
         store.apply(ReviewFrame(0, "reviewed"), "mara")
     return made
-
-
-@pytest.fixture
-def served(workspace: Workspace) -> Iterator[Served]:
-    with annotating(workspace) as served:
-        yield served
 
 
 @pytest.fixture

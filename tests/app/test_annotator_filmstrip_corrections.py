@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from streets import street
 
-from semviz.annotator.filmstrip_corrections import CorrectedRow
-from semviz.annotator.image_worker import Images, ImageWorker
+from semviz.annotator.filmstrip.filmstrip_corrections import CorrectedRow
 from semviz.annotator.panes import Cameras, Pane
-from semviz.annotator.proposals import LabelledPane
+from semviz.annotator.proposals.image_worker import Images, ImageWorker
+from semviz.annotator.proposals.label_proposals import LabelledPane
 from semviz_annotation.assist.marked_image import Mark
 from semviz_annotation.labels.labels import LabelElement, Labels, Observation, new_id, proposal_id
 from semviz_annotation.labels.rows import Dismissal

@@ -36,13 +36,6 @@ def served(workspace: Workspace) -> Iterator[Served]:
         yield served
 
 
-@pytest.fixture
-def driver(served: Served, page: "Page") -> LabelDriver:
-    driver = LabelDriver(page)
-    driver.open(served.url)
-    return driver
-
-
 def names(page: "Page") -> list[str]:
     return page.locator("#elements .row .fill").all_inner_texts()
 

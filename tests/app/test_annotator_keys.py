@@ -1,7 +1,6 @@
 """The labelling page without a mouse: keys that can be changed, the palette, a cursor, the tour."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,19 +22,6 @@ pytestmark = pytest.mark.browser
 @pytest.fixture
 def workspace(tmp_path: Path) -> Workspace:
     return street_workspace(tmp_path / "street", 7, 3)
-
-
-@pytest.fixture
-def served(workspace: Workspace) -> Iterator[Served]:
-    with annotating(workspace) as served:
-        yield served
-
-
-@pytest.fixture
-def driver(served: Served, page: "Page") -> LabelDriver:
-    driver = LabelDriver(page)
-    driver.open(served.url)
-    return driver
 
 
 def help_row(page: "Page", title: str) -> "Locator":

@@ -18,7 +18,7 @@ from semviz.annotator.messages import ReviewEvent, ShowReviewRequest
 from semviz.annotator.page_session import HANDLERS
 from semviz.annotator.session import LabelSession
 from semviz.web.protocol import MalformedRequestError
-from semviz.workspace.map_review import FigureView
+from semviz.workspace.maps.map_review import FigureView
 from semviz.workspace.workspace import MAIN, Workspace
 from semviz_annotation.labels.edits import DecideElements, edit_to_json
 from semviz_annotation.labels.labels import Labels

@@ -30,19 +30,6 @@ def workspace(tmp_path: Path) -> Workspace:
     return street_workspace(tmp_path / "street", 7, 4)
 
 
-@pytest.fixture
-def served(workspace: Workspace) -> Iterator[Served]:
-    with annotating(workspace) as served:
-        yield served
-
-
-@pytest.fixture
-def driver(served: Served, page: "Page") -> LabelDriver:  # the page goes before its server
-    driver = LabelDriver(page)
-    driver.open(served.url)
-    return driver
-
-
 def stereo_pole(left: float = 600.0, disparity: float = 20.0):  # type: ignore[no-untyped-def]
     """Peak and bottom of a pole in both images."""
     right = left - disparity

@@ -10,7 +10,7 @@ from journeys.driver import LabelDriver
 from streets import street_workspace
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    pass
 
 pytestmark = pytest.mark.browser
 SIZES = [(1280, 720), (1920, 1080)]
@@ -28,13 +28,6 @@ PAINTED = """([side, x, y]) => {
 def served(tmp_path: Path) -> Iterator[Served]:
     with annotating(street_workspace(tmp_path / "street", 7, 4)) as served:
         yield served
-
-
-@pytest.fixture
-def driver(served: Served, page: "Page") -> LabelDriver:  # the page goes before its server
-    driver = LabelDriver(page)
-    driver.open(served.url)
-    return driver
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -1,20 +1,19 @@
 """The view "Poses" of the labelling page: what is wrong, three answers, preview, undo."""
 
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from annotator_page import Served, annotating
+from annotator_page import Served
 from journeys.driver import LabelDriver
 from turned_drive import TURNED, drive, labels, measured_town, wrong_poses
 
-from semviz.annotator import pose_views
+from semviz.annotator.drive import pose_views
 from semviz.reports.pose_check import check_text
-from semviz.workspace.pose_review import check_poses, known_check, motions_path
+from semviz.workspace.poses.pose_review import check_poses, known_check, motions_path
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.frame import Frame
 from semviz_core.pose_checks.faults import PoseCheck
@@ -39,12 +38,6 @@ def workspace(measured_town: Path, tmp_path: Path) -> Workspace:
 def unmeasured(workspace: Workspace) -> Workspace:
     motions_path(workspace).unlink()
     return workspace
-
-
-@pytest.fixture
-def served(workspace: Workspace) -> Iterator[Served]:
-    with annotating(workspace) as served:
-        yield served
 
 
 @pytest.fixture
@@ -157,7 +150,7 @@ def test_the_address_leads_to_the_view_whose_keys_draw_nothing(
 def test_a_choice_made_elsewhere_is_used_at_once(
     poses: LabelDriver, served: Served, workspace: Workspace
 ) -> None:
-    from semviz.workspace.pose_review import PoseReview, choose_poses
+    from semviz.workspace.poses.pose_review import PoseReview, choose_poses
 
     check = check_poses(workspace, workspace.given_source.frames, lambda what, done, of: None)
     review = PoseReview.of(workspace, check, workspace.read_labels())

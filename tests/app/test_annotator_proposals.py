@@ -1,6 +1,5 @@
 """The page's proposals on a simulated street: accepted, rejected, kept through failures."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +9,7 @@ from annotator_page import SIDES, WAIT_MS, Served, annotating, true_detections
 from journeys.driver import POLE, ROUNDED, TRIANGULAR, LabelDriver, Pixel, Side
 from streets import street_workspace
 
-from semviz.annotator import image_worker, proposals
+from semviz.annotator.proposals import image_worker, label_proposals
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import new_id
 from semviz_annotation.labels.proposal import Proposal
@@ -59,19 +58,6 @@ def truth(street: Street, frame: int, side: Side, element: int) -> tuple[np.ndar
 @pytest.fixture
 def workspace(tmp_path: Path) -> Workspace:
     return street_workspace(tmp_path / "street", 7, 6)
-
-
-@pytest.fixture
-def served(workspace: Workspace) -> Iterator[Served]:
-    with annotating(workspace) as served:
-        yield served
-
-
-@pytest.fixture
-def driver(served: Served, page: "Page") -> LabelDriver:
-    driver = LabelDriver(page)
-    driver.open(served.url)
-    return driver
 
 
 def draw_first(driver: LabelDriver, served: Served) -> int:
@@ -159,7 +145,7 @@ def test_only_the_key_for_all_takes_weak_ones_and_goes_on(
     draw_first(driver, served)
     wait_for_score(driver, "P-01")
     driver.press_and_save("Space")
-    monkeypatch.setattr(proposals, "SURE", 1.0)  # all are weak
+    monkeypatch.setattr(label_proposals, "SURE", 1.0)  # all are weak
     driver.goto(3)
     wait_for_search(driver)
     state = "({ confidentProposals: sure, foundProposals: all }) => [sure.length, all.length]"

@@ -12,7 +12,7 @@ from journeys.driver import POLE, ROUNDED, LabelDriver
 from streets import street_workspace
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    pass
 
 pytestmark = pytest.mark.browser
 
@@ -21,13 +21,6 @@ pytestmark = pytest.mark.browser
 def served(tmp_path: Path) -> Iterator[Served]:
     with annotating(street_workspace(tmp_path / "street", 7, 4)) as served:
         yield served
-
-
-@pytest.fixture
-def driver(served: Served, page: "Page") -> LabelDriver:  # the page goes before its server
-    driver = LabelDriver(page)
-    driver.open(served.url)
-    return driver
 
 
 @pytest.mark.parametrize("mine", [True, False])

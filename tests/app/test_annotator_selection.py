@@ -13,7 +13,7 @@ from streets import street, street_workspace
 from semviz_annotation.labels.labels import Labels, Observation
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    pass
 
 pytestmark = pytest.mark.browser
 FRAMES = 4
@@ -25,13 +25,6 @@ def served(tmp_path: Path) -> Iterator[Served]:
     label_street(workspace, street(7, FRAMES), range(2))
     with annotating(workspace) as served:
         yield served
-
-
-@pytest.fixture
-def driver(served: Served, page: "Page") -> LabelDriver:
-    driver = LabelDriver(page)
-    driver.open(served.url)
-    return driver
 
 
 def here(labels: Labels, side: str = "left") -> list[Observation]:

@@ -12,12 +12,12 @@ from drawn_marks import BOTTOM, PEAK, do, draw, pixel, pole, sign
 from pydantic import ValidationError
 from streets import street_workspace
 
-from semviz.annotator import image_worker
-from semviz.annotator.draft import DraftState, ElementDraft
+from semviz.annotator.drawing.draft import DraftState, ElementDraft
 from semviz.annotator.element_positions import ElementPositions
 from semviz.annotator.messages import DrawEdit
+from semviz.annotator.proposals import image_worker
 from semviz.annotator.session import LabelSession
-from semviz.annotator.track_edits import AlignLabelsEdit
+from semviz.annotator.tracks.track_edits import AlignLabelsEdit
 from semviz.annotator.views import FrameSummary
 from semviz_annotation.assist.marked_image import Mark
 from semviz_annotation.assist.snap import snap

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from streets import street_workspace
 
 from semviz.annotator.server import Annotator
-from semviz.annotator.team_view import (
+from semviz.annotator.team.team_view import (
     FORECAST_DAYS,
     MOST_DAYS,
     AssignFramesRequest,

@@ -16,14 +16,14 @@ from journeys.driver import LabelDriver
 from streets import street_workspace
 from tracked_detections import FALSE, detect_and_map, track_id
 
-from semviz.annotator.detection_tracks import DetectionTrack, DetectionTracks, OpenTracks
 from semviz.annotator.map_review import ReviewEntry
 from semviz.annotator.messages import ApplyEditRequest, ShowReviewRequest
 from semviz.annotator.page_session import HANDLERS
 from semviz.annotator.panes import Cameras
-from semviz.annotator.proposal_views import ProposalView
+from semviz.annotator.proposals.proposal_views import ProposalView
 from semviz.annotator.server import Annotator
 from semviz.annotator.session import LabelSession
+from semviz.annotator.tracks.detection_tracks import DetectionTrack, DetectionTracks, OpenTracks
 from semviz.workspace.workspace import MAIN, Workspace
 from semviz_annotation.labels.labels import Labels, new_id
 from semviz_annotation.labels.proposal import Proposal

@@ -1,11 +1,10 @@
 """The view "Tracks" of the labelling page: every verb, its preview, its one undo, its keys."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from annotator_page import Served, annotating
+from annotator_page import Served
 from journeys.driver import LabelDriver
 from labelled_street import label_street
 from streets import street, street_workspace
@@ -27,12 +26,6 @@ def workspace(tmp_path: Path) -> Workspace:
     made = street_workspace(tmp_path / "street", 7, FRAMES)
     label_street(made, street(7, FRAMES), range(LABELLED))
     return made
-
-
-@pytest.fixture
-def served(workspace: Workspace) -> Iterator[Served]:
-    with annotating(workspace) as served:
-        yield served
 
 
 @pytest.fixture

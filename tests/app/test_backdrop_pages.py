@@ -18,7 +18,7 @@ from semviz.web.gateway import Gateway
 from semviz.web.scene import NAME, BackdropLayer, SceneDrawer, muted
 from semviz.web.shapes import PALETTES, Theme
 from semviz.web.viser_servers import ViserServers
-from semviz.workspace.backdrop import backdrop_path
+from semviz.workspace.maps.backdrop import backdrop_path
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.classes import DEFAULT_CLASSES, POLE
 

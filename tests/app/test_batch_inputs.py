@@ -14,7 +14,7 @@ from semviz.batch.cluster import Cluster
 from semviz.batch.inputs import inputs_of
 from semviz.batch.work import Work
 from semviz.collection.collection import Collection, Drive
-from semviz.workspace.pose_choices import FILE as POSE_CHOICES
+from semviz.workspace.poses.pose_choices import FILE as POSE_CHOICES
 from semviz.workspace.workspace import Workspace
 
 FRAMES = range(6)

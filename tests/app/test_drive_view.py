@@ -11,14 +11,14 @@ from annotator_page import Served, annotating
 from recorded_streets import LENSES, record
 from streets import street, street_workspace
 
-from semviz.annotator.drive_view import drive_pair, drive_view
+from semviz.annotator.drive.drive_view import drive_pair, drive_view
 from semviz.cli import main
-from semviz.workspace.drive_check_file import CHECKS
+from semviz.workspace.drive.drive_check_file import CHECKS
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.camera import Rig
 from semviz_core.base.pose import so3_exp
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.image_folder import ImageFolder
+from semviz_core.datasets.own_drive.images.image_folder import ImageFolder
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -8,7 +8,7 @@ import pytest
 
 from semviz.runs.reader import load_run
 from semviz.workspace import observations
-from semviz.workspace.localize import LocalizeOptions, localize_workspace, record
+from semviz.workspace.localization.localize import LocalizeOptions, localize_workspace, record
 from semviz.workspace.workspace import TRUTH, Workspace
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Frame

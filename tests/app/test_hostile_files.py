@@ -27,7 +27,7 @@ from map_files import small_map
 from semviz.runs.codec import decode, encode
 from semviz.runs.images import frame_image, missing_image_reason
 from semviz.runs.run import Run
-from semviz.workspace.drive_file import read_drive_file
+from semviz.workspace.drive.drive_file import read_drive_file
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.label_formats.exchange import guess_format
 from semviz_annotation.label_formats.reading import read_bytes
@@ -41,9 +41,9 @@ from semviz_core.base.pose import Pose
 from semviz_core.base.weights import read_weights
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import decode_image, read_limited, unpacked, unpacked_columns
-from semviz_core.datasets.own_drive.calibration_files import read_calibration
-from semviz_core.datasets.own_drive.pose_files import read_poses
-from semviz_core.datasets.own_drive.recorded_cameras import read_nerfstudio
+from semviz_core.datasets.own_drive.cameras.calibration_files import read_calibration
+from semviz_core.datasets.own_drive.cameras.recorded_cameras import read_nerfstudio
+from semviz_core.datasets.own_drive.poses.pose_files import read_poses
 from semviz_core.datasets.trajectory import load_trajectory
 from semviz_core.detection.foreign_models import OnnxSettings
 from semviz_core.detection.model_config import read_settings

@@ -15,7 +15,7 @@ import pytest
 from streets import street_workspace
 
 from semviz.annotator import server
-from semviz.annotator.image_worker import CACHED_IMAGES, Images
+from semviz.annotator.proposals.image_worker import CACHED_IMAGES, Images
 from semviz_core.common.arrays import ByteImage
 
 FRAMES = 4 * CACHED_IMAGES

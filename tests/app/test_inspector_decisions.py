@@ -17,7 +17,7 @@ from semviz.runs.reader import load_run
 from semviz.runs.run import FrameRecord
 from semviz.runs.writer import RunWriter
 from semviz.web.gateway import Gateway
-from semviz.workspace.map_review import entry_key
+from semviz.workspace.maps.map_review import entry_key
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.rows import different_elements
 from semviz_annotation.mapping.decisions import is_open

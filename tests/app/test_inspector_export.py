@@ -178,7 +178,7 @@ def test_a_panel_that_svg_cannot_draw_is_said_in_the_dialog(url: str, page: "Pag
     page.evaluate(
         """async () => {
           "use strict";
-          const { Timeline } = await import("/page/timeline.js");
+          const { Timeline } = await import("/page/timeline/timeline.js");
           const draw = Timeline.prototype.draw;
           Timeline.prototype.draw = function (context, ...size) {
             draw.call(this, context, ...size);

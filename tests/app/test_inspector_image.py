@@ -93,7 +93,7 @@ def model(page: "Page", frame: Any, mode: str) -> Any:
     """What the page's own model says of a frame."""
     return page.evaluate(
         """async ([frame, mode]) => {
-          const { ImageModel } = await import("/page/image_model.js");
+          const { ImageModel } = await import("/page/image/image_model.js");
           const one = new ImageModel(frame, mode, { width: 1241, height: 376 });
           const { about, isPossible, mapped, vectors, observed } = one;
           const failed = { missed: one.missedDetections, false: one.falsePositives };
@@ -263,7 +263,7 @@ def test_ends_are_hidden_or_cut_off_by_the_border(url: str, page: "Page") -> Non
     open_blank(page, url)
     states = page.evaluate(
         """async () => {
-          const { endState } = await import("/page/image_model.js");
+          const { endState } = await import("/page/image/image_model.js");
           const size = { width: 100, height: 50 };
           const unknown = [[50, 49], [-0.5, 20], [50, 30]].map((end) => endState(false, end, size));
           return [endState(true, [50, 49], size), ...unknown];

@@ -100,8 +100,8 @@ def test_the_table_comes_by_http_under_a_name_of_its_own(run: Run, path: Path) -
 
 
 MODEL = """async ([frame, sizes]) => {
-  const { MatrixModel } = await import("./page/matrix_model.js");
-  const { MatrixLayout, MIN_CELL } = await import("./page/matrix_layout.js");
+  const { MatrixModel } = await import("./page/matrix/matrix_model.js");
+  const { MatrixLayout, MIN_CELL } = await import("./page/matrix/matrix_layout.js");
   const model = new MatrixModel(frame, frame.matrix);
   const lost = [];
   const check = (layout, i, j) => {

@@ -17,11 +17,11 @@ from command_line import call
 from inspector_page import in_url, open_flat, wait_for
 
 from semviz.inspector.context import RunLibrary
-from semviz.inspector.over_time import OverTime, PassSearch, over_time_event
+from semviz.inspector.map_over_time.over_time import OverTime, PassSearch, over_time_event
 from semviz.inspector.server import Inspector
 from semviz.runs.reader import load_run
 from semviz.web.gateway import Gateway
-from semviz.workspace.map_decisions import (
+from semviz.workspace.maps.map_decisions import (
     DecisionConflictError,
     LabelPlace,
     asked_by_frame,

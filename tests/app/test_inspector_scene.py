@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from small_runs import ambiguous, small_run, spoiled, unanswered
 
-from semviz.inspector import scene_map
-from semviz.inspector.scene_cameras import IMAGES, mark_positions_m
-from semviz.inspector.scene_map import Usage, legend, levels, usage_of
-from semviz.inspector.scene_view import InspectorScene
+from semviz.inspector.scene import scene_map
+from semviz.inspector.scene.scene_cameras import IMAGES, mark_positions_m
+from semviz.inspector.scene.scene_map import Usage, legend, levels, usage_of
+from semviz.inspector.scene.scene_view import InspectorScene
 from semviz.inspector.state import MapColors, State, View
 from semviz.presentation.plots import RESIDUAL_LIMITS_PX, USED, USED_LIMITS
 from semviz.runs.run import Run

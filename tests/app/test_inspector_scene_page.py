@@ -16,7 +16,7 @@ from small_runs import small_run
 
 from semviz.inspector.messages import GoToViewpointRequest
 from semviz.inspector.navigation import ViewpointPanel
-from semviz.inspector.scene_cameras import mark_positions_m
+from semviz.inspector.scene.scene_cameras import mark_positions_m
 from semviz.inspector.server import HANDLERS, Inspector
 from semviz.inspector.state import State
 from semviz.runs.writer import RunWriter

@@ -15,8 +15,8 @@ from semviz.inspector.server import Inspector
 from semviz.inspector.solver import letter, missing_stages, solver_view
 from semviz.runs.run import FrameRecord, Run
 from semviz.web.gateway import Gateway
-from semviz.workspace.sequence_tracker import SequenceTracker
-from semviz.workspace.simulated_measurements import simulated_odometry
+from semviz.workspace.localization.sequence_tracker import SequenceTracker
+from semviz.workspace.localization.simulated_measurements import simulated_odometry
 from semviz_core.base.localization import Localization
 from semviz_core.localization.localizer import Localizer
 from semviz_core.simulation.street import Street

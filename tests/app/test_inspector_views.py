@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from semviz.inspector.context import RunLibrary
-from semviz.inspector.scene_cameras import merge_labels
+from semviz.inspector.scene.scene_cameras import merge_labels
 from semviz.inspector.server import HANDLERS
 from semviz.inspector.state import State
 from semviz.inspector.views import frame_view, run_view

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, cast
 import pytest
 from inspector_page import near, open_flat, pixels, record_street, wait_for
 
-from semviz.inspector.scene_view import draw_what_if_camera
+from semviz.inspector.scene.scene_view import draw_what_if_camera
 from semviz.inspector.server import Inspector
 from semviz.inspector.state import Selection, State
 from semviz.inspector.what_if import Sweep

@@ -3,7 +3,7 @@
 import shutil
 import sqlite3
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,19 +40,6 @@ def workspace(tmp_path: Path) -> Workspace:
     backup_labels(workspace.labels_path, tmp_path / "backup.db")
     draw_signs(workspace, [(1, 300.0), (2, 320.0)], "one")
     return workspace
-
-
-@pytest.fixture
-def served(workspace: Workspace) -> Iterator[Served]:
-    with annotating(workspace) as served:
-        yield served
-
-
-@pytest.fixture
-def driver(served: Served, page: "Page") -> LabelDriver:
-    driver = LabelDriver(page)
-    driver.open(served.url)
-    return driver
 
 
 def remove(path: Path, backup: Path) -> None:

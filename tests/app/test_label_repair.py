@@ -32,8 +32,8 @@ from semviz.web.gateway import Gateway
 from semviz.web.protocol import Request
 from semviz.what_if.solve import free_path
 from semviz.workspace.demo import AUTHOR, SEED, SLIP_PX, SPACING_M, demo_labels
-from semviz.workspace.localize import LocalizeOptions, localize_workspace, record
-from semviz.workspace.rebuild import rebuild_run
+from semviz.workspace.localization.localize import LocalizeOptions, localize_workspace, record
+from semviz.workspace.localization.rebuild import rebuild_run
 from semviz.workspace.workspace import TRUTH, Workspace
 from semviz_annotation.labels.edits import DecideElements, MoveObservation, RevokeDecision
 from semviz_annotation.labels.rows import review_decision

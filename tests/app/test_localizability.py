@@ -17,7 +17,7 @@ from semviz.inspector.elements import Forecast
 from semviz.inspector.server import Inspector
 from semviz.runs.reader import load_run
 from semviz.web.gateway import Gateway
-from semviz.workspace.localizability import positions, with_measured_recall
+from semviz.workspace.localization.localizability import positions, with_measured_recall
 from semviz.workspace.workspace import TRUTH, Workspace
 from semviz_core.base.map_file import load_map, save_map
 from semviz_core.base.semantic_map import SemanticMap

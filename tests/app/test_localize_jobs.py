@@ -12,7 +12,7 @@ from deadly_frames import Frames
 from semviz.cli import main
 from semviz.runs.reader import load_run
 from semviz.runs.run import KNOWN_DIAGNOSES, FrameRecord
-from semviz.workspace.frame_processes import localized_in_processes
+from semviz.workspace.localization.frame_processes import localized_in_processes
 from semviz.workspace.workspace import TRUTH, Workspace
 
 FRAMES = 20

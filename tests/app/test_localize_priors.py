@@ -13,7 +13,7 @@ from semviz.runs.reader import load_run
 from semviz.runs.run import Run
 from semviz.what_if.change import FrameRequest
 from semviz.what_if.solve import solve_with_changes
-from semviz.workspace.localize import NO_PRIOR
+from semviz.workspace.localization.localize import NO_PRIOR
 from semviz.workspace.workspace import TRUTH, Workspace
 from semviz_core.base.frame import Frame
 from semviz_core.base.pose import Pose, heading_rad

@@ -9,7 +9,7 @@ from command_line import call
 from labelled_street import label_street
 
 from semviz.runs.reader import load_run
-from semviz.workspace.rig_views import OtherCamera, rig_views
+from semviz.workspace.drive.rig_views import OtherCamera, rig_views
 from semviz.workspace.workspace import TRUTH, Workspace
 from semviz_core.base.camera import Camera
 from semviz_core.base.elements import Elements2D

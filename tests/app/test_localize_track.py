@@ -18,13 +18,13 @@ from semviz.runs.reader import load_run
 from semviz.runs.run import Run
 from semviz.web.gateway import Gateway
 from semviz.workspace.demo import SECTIONS, SEED, SPACING_M
-from semviz.workspace.localize import (
+from semviz.workspace.localization.localize import (
     CROP_RADIUS_M,
     LocalizeOptions,
     localize_workspace,
 )
-from semviz.workspace.sequence_tracker import SequenceTracker
-from semviz.workspace.simulated_measurements import simulated_odometry
+from semviz.workspace.localization.sequence_tracker import SequenceTracker
+from semviz.workspace.localization.simulated_measurements import simulated_odometry
 from semviz.workspace.workspace import TRUTH, Workspace
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Odometry, Prior

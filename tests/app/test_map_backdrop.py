@@ -16,7 +16,7 @@ from command_line import Call, call
 from planted_backdrop import put_backdrop
 from streets import street, street_workspace
 
-from semviz.workspace.backdrop import backdrop_path, find_backdrop
+from semviz.workspace.maps.backdrop import backdrop_path, find_backdrop
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.mapping.backdrop import load_backdrop
 from semviz_core.datasets.trajectory import T_MAP_WORLD

@@ -8,8 +8,8 @@ import pytest
 from command_line import call
 
 from semviz.runs.reader import load_run
+from semviz.workspace.localization.rebuild import rebuild_run
 from semviz.workspace.observations import observe_detected, read_detections, read_labels_of
-from semviz.workspace.rebuild import rebuild_run
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.label_formats.import_plan import ImportLabels
 from semviz_annotation.labels.detections import as_proposals

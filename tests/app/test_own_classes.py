@@ -1,12 +1,12 @@
 """A class and attributes of a workspace's own: declared, labelled, mapped, localized, exchanged."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
-from annotator_page import Served, annotating
+from annotator_page import Served
 from command_line import call
 from inspector_page import open_flat
 from journeys.driver import LabelDriver
@@ -166,12 +166,6 @@ def test_boxes_are_kept_and_exported_again(tmp_path: Path, run: Run) -> None:
     told = run("labels", "export", fresh.path, tmp_path / "a.csv")
     assert "dropped: 4 x boxes and polygons" in told.out
     assert "attribute:material" in (tmp_path / "a.csv").read_text().splitlines()[0]
-
-
-@pytest.fixture
-def served(workspace: Workspace) -> Iterator[Served]:
-    with annotating(workspace) as served:
-        yield served
 
 
 @pytest.mark.browser

@@ -24,8 +24,8 @@ from semviz_core.base.frame import Side
 from semviz_core.base.pose import so3_exp
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.image_folder import ImageFolder
-from semviz_core.datasets.own_drive.lens import OriginalCamera
+from semviz_core.datasets.own_drive.cameras.lens import OriginalCamera
+from semviz_core.datasets.own_drive.images.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles
 from semviz_core.simulation.street import Street

@@ -12,11 +12,11 @@ import pytest
 from command_line import call
 from drive_formats import CALIBRATION, COUNT, image_name, tum
 
-from semviz.workspace.drive_file import DRIVE_FILE, LEFT_OUT, read_drive_file
-from semviz.workspace.pose_review import source_key
+from semviz.workspace.drive.drive_file import DRIVE_FILE, LEFT_OUT, read_drive_file
+from semviz.workspace.poses.pose_review import source_key
 from semviz.workspace.workspace import Workspace
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.image_files import size_of_whole_image
+from semviz_core.datasets.own_drive.images.image_files import size_of_whole_image
 
 FISHEYE = CALIBRATION.replace('"pinhole"', '"fisheye"') + "distortion = [0.01, 0.0, 0.0, 0.0]\n"
 NO_TEXT = os.fsdecode(b"\xff")

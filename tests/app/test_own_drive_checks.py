@@ -18,19 +18,19 @@ from scipy.spatial.transform import Rotation
 from streets import street
 
 from semviz.reports import drive_import
-from semviz.workspace.drive_check_file import CHECKS, read_checks
-from semviz.workspace.drive_file import DriveFile, ImageFolders
-from semviz.workspace.motion_checks import motion_checks
+from semviz.workspace.drive.drive_check_file import CHECKS, read_checks
+from semviz.workspace.drive.drive_file import DriveFile, ImageFolders
+from semviz.workspace.drive.motion_checks import motion_checks
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.camera import Rig
 from semviz_core.base.frame import Frame
 from semviz_core.base.pose import Pose, so3_exp, so3_log
 from semviz_core.common.arrays import ByteImage
 from semviz_core.datasets.kitti import KittiSequence
-from semviz_core.datasets.own_drive.calibration_files import read_calibration
-from semviz_core.datasets.own_drive.conventions import NAMED_EXTRINSICS
-from semviz_core.datasets.own_drive.match_checks import draw_rows
-from semviz_core.datasets.own_drive.pose_remedies import PoseAgreement, compare_poses
+from semviz_core.datasets.own_drive.cameras.calibration_files import read_calibration
+from semviz_core.datasets.own_drive.checks.match_checks import draw_rows
+from semviz_core.datasets.own_drive.checks.pose_remedies import PoseAgreement, compare_poses
+from semviz_core.datasets.own_drive.poses.conventions import NAMED_EXTRINSICS
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles
 from semviz_core.pose_checks.comparison import DrivePoses

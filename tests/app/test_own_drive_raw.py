@@ -11,7 +11,7 @@ from drive_formats import CALIBRATION
 from semviz.workspace.workspace import Workspace
 from semviz_core.common.arrays import ByteImage
 from semviz_core.common.limits import read_image
-from semviz_core.datasets.own_drive.color_orders import (
+from semviz_core.datasets.own_drive.images.color_orders import (
     BAYER_PATTERNS,
     EXCHANGED,
     BayerPattern,

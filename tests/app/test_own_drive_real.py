@@ -14,8 +14,8 @@ from command_line import call
 from pyarrow import feather
 
 from semviz.workspace.workspace import Workspace
-from semviz_core.datasets.own_drive.calibration_files import read_calibration
-from semviz_core.datasets.own_drive.image_folder import ImageFolder
+from semviz_core.datasets.own_drive.cameras.calibration_files import read_calibration
+from semviz_core.datasets.own_drive.images.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles
 

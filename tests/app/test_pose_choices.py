@@ -14,8 +14,8 @@ from streets import street
 from turned_drive import COUNT, SEED, TURNED, drive, labels, measured_town, wrong_poses
 
 from semviz.workspace.chosen_frames import posed_frames, select_frames
-from semviz.workspace.pose_choices import PoseOperation, read_choices
-from semviz.workspace.pose_review import PoseReview, check_poses, choose_poses, pose_change
+from semviz.workspace.poses.pose_choices import PoseOperation, read_choices
+from semviz.workspace.poses.pose_review import PoseReview, check_poses, choose_poses, pose_change
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.labels import Labels, Observation
 from semviz_annotation.mapping.build import build_map

@@ -15,8 +15,8 @@ from support.planted_pose_faults import moved
 from support.street_labels import careful, label_street
 from turned_drive import COUNT, SEED, TURNED, drive, wrong_poses
 
-from semviz.workspace.pose_labels import label_evidence
-from semviz.workspace.pose_review import check_poses, motions_path
+from semviz.workspace.poses.pose_labels import label_evidence
+from semviz.workspace.poses.pose_review import check_poses, motions_path
 from semviz.workspace.workspace import Workspace
 from semviz_core.base.pose import Pose
 from semviz_core.datasets.trajectory import load_trajectory, save_trajectory

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from semviz.annotator.panes import Pane
-from semviz.annotator.proposal_selection import TAKEN_PX, select_distinct
-from semviz.annotator.proposals import LabelProposal
+from semviz.annotator.proposals.label_proposals import LabelProposal
+from semviz.annotator.proposals.proposal_selection import TAKEN_PX, select_distinct
 from semviz_annotation.assist.marked_image import Mark
 from semviz_annotation.labels.labels import Labels
 

@@ -31,7 +31,7 @@ from semviz.runs.tables import frame_rows
 from semviz.runs.writer import RunWriter
 from semviz.web.protocol import Event, Request
 from semviz.web.viser_servers import ViserServers
-from semviz.workspace.passes import pass_of
+from semviz.workspace.maps.passes import pass_of
 from semviz_core.common.errors import SemvizError
 
 made_up: dict[str, Any] = runpy.run_path(str(Path(__file__).parents[2] / "bench" / "recording.py"))

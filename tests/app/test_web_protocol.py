@@ -13,7 +13,7 @@ from annotator_page import draw_signs
 from drawn_marks import sign
 from pydantic import Field, ValidationError
 
-from semviz.annotator.drive_requests import PoseUndo
+from semviz.annotator.drive.drive_requests import PoseUndo
 from semviz.annotator.page_session import HANDLERS, AnnotatorPage
 from semviz.annotator.session import LabelSession
 from semviz.web import protocol

@@ -14,7 +14,7 @@ from conftest import skip_or_fail
 from semviz_core.common.errors import SemvizError
 from semviz_core.datasets.own_drive.adapters import rosbag
 from semviz_core.datasets.own_drive.adapters.rosbag import read_bag
-from semviz_core.datasets.own_drive.lens import OriginalCamera
+from semviz_core.datasets.own_drive.cameras.lens import OriginalCamera
 from semviz_core.datasets.own_drive.recording import DriveFiles
 
 PACKED: tuple[tuple[Kind, str], ...] = (

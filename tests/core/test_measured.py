@@ -16,7 +16,7 @@ from semviz_core.datasets.measured_priors import (
     read_odometry,
     read_priors,
 )
-from semviz_core.datasets.own_drive.conventions import geodetic, map_on_earth
+from semviz_core.datasets.own_drive.poses.conventions import geodetic, map_on_earth
 from semviz_core.datasets.trajectory import T_MAP_WORLD, save_trajectory
 
 NO_ROAD = np.zeros((0, 3))

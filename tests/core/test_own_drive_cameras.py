@@ -17,11 +17,11 @@ from semviz_core.base.pose import Pose, so3_exp
 from semviz_core.base.semantic_map import MapFrame
 from semviz_core.common.arrays import ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive import rectification
-from semviz_core.datasets.own_drive.calibration_files import read_calibration
-from semviz_core.datasets.own_drive.color_checks import check_colors
-from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
-from semviz_core.datasets.own_drive.rectification import rectify_rig
+from semviz_core.datasets.own_drive.cameras.calibration_files import read_calibration
+from semviz_core.datasets.own_drive.cameras.lens import OriginalCamera, OriginalRig
+from semviz_core.datasets.own_drive.checks.color_checks import check_colors
+from semviz_core.datasets.own_drive.images import rectification
+from semviz_core.datasets.own_drive.images.rectification import rectify_rig
 
 RATIONAL = OriginalCamera(
     "brown-conrady",

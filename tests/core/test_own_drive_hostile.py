@@ -24,15 +24,15 @@ from recorded_streets import BROWN, kalibr
 
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.calibration_files import read_calibration
-from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
-from semviz_core.datasets.own_drive.conventions import camera_poses, world_axes
-from semviz_core.datasets.own_drive.lens import OriginalRig
-from semviz_core.datasets.own_drive.pose_files import read_poses
-from semviz_core.datasets.own_drive.recorded_cameras import read_nerfstudio
+from semviz_core.datasets.own_drive.cameras.calibration_files import read_calibration
+from semviz_core.datasets.own_drive.cameras.colmap_model import is_colmap, read_colmap
+from semviz_core.datasets.own_drive.cameras.lens import OriginalRig
+from semviz_core.datasets.own_drive.cameras.recorded_cameras import read_nerfstudio
+from semviz_core.datasets.own_drive.images.rectification import rectify_rig
+from semviz_core.datasets.own_drive.poses.conventions import camera_poses, world_axes
+from semviz_core.datasets.own_drive.poses.pose_files import read_poses
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles
-from semviz_core.datasets.own_drive.rectification import rectify_rig
 
 ROUNDS = 60
 WORDS = [b"", b"nan", b"-1", b"1e308", b"null", b"[]", b"{}", b"\x00", b"\xff", b"0", b'"x"', b": "]

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.conventions import NAMED_EXTRINSICS
-from semviz_core.datasets.own_drive.pose_files import read_poses
+from semviz_core.datasets.own_drive.poses.conventions import NAMED_EXTRINSICS
+from semviz_core.datasets.own_drive.poses.pose_files import read_poses
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles
 from semviz_core.datasets.trajectory import T_MAP_WORLD

@@ -28,8 +28,8 @@ from drive_formats import (
 
 from semviz_core.base.pose import Pose, angle_between
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.image_files import LeftOutImage, list_images
-from semviz_core.datasets.own_drive.pose_files import read_poses
+from semviz_core.datasets.own_drive.images.image_files import LeftOutImage, list_images
+from semviz_core.datasets.own_drive.poses.pose_files import read_poses
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles, poses_at_times, why_without_pose
 from semviz_core.datasets.trajectory import T_MAP_WORLD

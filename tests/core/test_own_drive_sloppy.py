@@ -11,12 +11,12 @@ from drive_formats import CALIBRATION, COUNT, image_name, kitti, tum
 
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.image_files import times_from_names
-from semviz_core.datasets.own_drive.lens import OriginalRig
-from semviz_core.datasets.own_drive.pose_files import read_poses
+from semviz_core.datasets.own_drive.cameras.lens import OriginalRig
+from semviz_core.datasets.own_drive.images.image_files import times_from_names
+from semviz_core.datasets.own_drive.images.rectification import rectify_rig
+from semviz_core.datasets.own_drive.poses.pose_files import read_poses
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles
-from semviz_core.datasets.own_drive.rectification import rectify_rig
 
 GRADIENT = np.tile(np.linspace(0, 255, 64), (48, 1)).astype(np.uint8)
 

@@ -22,7 +22,7 @@ from semviz.annotator.session import LabelSession
 from semviz.cli import main
 from semviz.runs.reader import load_run
 from semviz.web.protocol import RefusedError
-from semviz.workspace.rebuild import rebuild_run
+from semviz.workspace.localization.rebuild import rebuild_run
 from semviz.workspace.workspace import Workspace
 from semviz_annotation.labels.detections import as_proposals
 from semviz_annotation.labels.labels import new_id
@@ -30,7 +30,7 @@ from semviz_annotation.labels.proposal import ProcessedImages, Proposal
 from semviz_annotation.labels.proposals import Proposals, save_proposals
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.image_folder import ImageFolder
+from semviz_core.datasets.own_drive.images.image_folder import ImageFolder
 from semviz_core.datasets.own_drive.recorded_drive import read_drive
 from semviz_core.datasets.own_drive.recording import DriveFiles, poses_at_times
 from semviz_core.datasets.rig_cameras import frames_by_camera

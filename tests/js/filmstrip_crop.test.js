@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { cropOf, dragged, inCrop } from "../../semviz/annotator/page/filmstrip_crop.js";
+import { cropOf, dragged, inCrop } from "../../semviz/annotator/page/filmstrip/filmstrip_crop.js";
 
 const POLE = { anchor: [100, 20], end: [104, 220], anchor_known: true, end_known: true };
 const SIGN = { anchor: [300, 50], end: null, anchor_known: true, end_known: false };

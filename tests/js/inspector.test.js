@@ -1,8 +1,8 @@
 import assert from "node:assert/strict";
 import { beforeEach, test } from "node:test";
 import { Address, flag, memberOf, numberOf, oneOf, textOf, wholeNumber, yes } from "../../semviz/inspector/page/address.js";
-import { ImageModel, endState, middle, nearestOn } from "../../semviz/inspector/page/image_model.js";
-import { MatrixModel } from "../../semviz/inspector/page/matrix_model.js";
+import { ImageModel, endState, middle, nearestOn } from "../../semviz/inspector/page/image/image_model.js";
+import { MatrixModel } from "../../semviz/inspector/page/matrix/matrix_model.js";
 
 // -- image_model
 

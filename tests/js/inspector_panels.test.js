@@ -3,9 +3,9 @@ import { test } from "node:test";
 import { SameElement } from "../../semviz/inspector/page/compare/same_element.js";
 import { Scatter } from "../../semviz/inspector/page/compare/scatter_drawing.js";
 import { severity } from "../../semviz/inspector/page/frames.js";
-import { MatrixLayout } from "../../semviz/inspector/page/matrix_layout.js";
-import { worstPerPixel } from "../../semviz/inspector/page/timeline.js";
-import { TimelineAxes } from "../../semviz/inspector/page/timeline_drawing.js";
+import { MatrixLayout } from "../../semviz/inspector/page/matrix/matrix_layout.js";
+import { worstPerPixel } from "../../semviz/inspector/page/timeline/timeline.js";
+import { TimelineAxes } from "../../semviz/inspector/page/timeline/timeline_drawing.js";
 import { wanted } from "../../semviz/web/static/virtual_list.js";
 
 // -- frames

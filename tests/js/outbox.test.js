@@ -1,8 +1,8 @@
 import assert from "node:assert/strict";
 import { webcrypto } from "node:crypto";
 import { beforeEach, test } from "node:test";
-import { Outbox } from "../../semviz/annotator/page/outbox.js";
-import { moveToRestored, replacedLabels } from "../../semviz/annotator/page/questions.js";
+import { Outbox } from "../../semviz/annotator/page/saving/outbox.js";
+import { moveToRestored, replacedLabels } from "../../semviz/annotator/page/saving/questions.js";
 
 /** localStorage: entries are own properties, methods are not. */
 class FakeStorage {

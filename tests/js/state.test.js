@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { webcrypto } from "node:crypto";
 import { test } from "node:test";
 import { editing } from "../../semviz/annotator/page/commands.js";
-import { drawnAgain, isIdle, seen, standing, startOf, withPending } from "../../semviz/annotator/page/pending.js";
+import { drawnAgain, isIdle, seen, standing, startOf, withPending } from "../../semviz/annotator/page/saving/pending.js";
 import { acceptedTracks, proposing } from "../../semviz/annotator/page/proposals.js";
 import { State } from "../../semviz/annotator/page/state.js";
 import { shownScore, spaced, uuid7 } from "../../semviz/annotator/page/values.js";

@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { TrackActions } from "../../semviz/annotator/page/track_actions.js";
-import { classWord, parseFilter } from "../../semviz/annotator/page/track_filter.js";
+import { TrackActions } from "../../semviz/annotator/page/tracks/track_actions.js";
+import { classWord, parseFilter } from "../../semviz/annotator/page/tracks/track_filter.js";
 
 const classes = ["pole", "rectangular sign", "rectangular box", "light gantry"].map((name, id) => ({ id, name }));
 const row = (class_id, attributes = {}) => ({ class_id, attributes, name: "P-01", notes: [] });

@@ -27,7 +27,7 @@ from semviz_annotation.labels.rows import Observation, Pixel, Rules, is_id
 from semviz_core.base.classes import OLDER_CENTER, RECTANGULAR, TRIANGULAR, TriangleCenter
 from semviz_core.base.frame import Dataset, Side
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.image_folder import ImageFolder
+from semviz_core.datasets.own_drive.images.image_folder import ImageFolder
 
 OTHERS = "*"
 """Name in a class map of all classes that are neither mapped nor known."""

@@ -30,7 +30,7 @@ from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import csv_text, replacing
 from semviz_core.common.limits import MOST_TEXT_BYTES, parsed_json, read_limited
-from semviz_core.datasets.own_drive.image_folder import ImageFolder
+from semviz_core.datasets.own_drive.images.image_folder import ImageFolder
 
 SIDES: tuple[Side, Side] = ("left", "right")
 ATTRIBUTES: Mapping[str, Mapping[str, Literal["text", "checkbox"]]] = {

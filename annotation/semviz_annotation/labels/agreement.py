@@ -13,7 +13,7 @@ import numpy as np
 from semviz_annotation.labels.labels import Labels
 from semviz_annotation.labels.rows import LabelElement, Observation, Pixel
 from semviz_core.base.frame import Side
-from semviz_core.common.arrays import FloatArray
+from semviz_core.common.arrays import FloatArray, unit_vectors
 
 MATCH_PX = 20.0
 """Labels farther apart are of two elements."""
@@ -185,14 +185,10 @@ def _axis(first: Observation, second: Observation) -> tuple[FloatArray, FloatArr
     """Return the mean direction (2,) of two poles, and their ends (2, 2), peaks first."""
     ends = np.array([first.anchor_px, first.end_px], dtype=float)
     others = np.array([second.anchor_px, second.end_px], dtype=float)
-    along = _unit(ends[1] - ends[0])
-    across = _unit(others[1] - others[0])
+    along = unit_vectors(ends[1] - ends[0])
+    across = unit_vectors(others[1] - others[0])
     mean = along + (across if along @ across >= 0.0 else -across)
-    return _unit(mean), ends, others
-
-
-def _unit(vector: FloatArray) -> FloatArray:
-    return vector / max(float(np.hypot(*vector)), 1e-12)
+    return unit_vectors(mean), ends, others
 
 
 def _angle_rad(first: FloatArray, second: FloatArray) -> float:

@@ -17,7 +17,7 @@ from semviz_annotation.map_formats import conversion
 from semviz_annotation.map_formats.attributes import drop_attributes
 from semviz_annotation.mapping.backdrop import Backdrop
 from semviz_core.base.semantic_map import SemanticMap
-from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.common.arrays import FloatArray, IntArray, unit_vectors
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 
@@ -188,7 +188,7 @@ def _along(anchor_m: FloatArray, end_m: FloatArray) -> FloatArray:
     z = np.where(length > 0.0, axis / np.maximum(length, 1e-12), [0.0, 0.0, 1.0])
     side = np.where(np.abs(z[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
     x = np.cross(side, z)
-    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    x = unit_vectors(x)
     y = np.cross(z, x)
     return np.stack([x * POLE_RADIUS_M, y * POLE_RADIUS_M, z * length], axis=2)
 

@@ -26,7 +26,6 @@ from semviz_annotation.mapping.association.detection_tracks import (
 )
 from semviz_annotation.mapping.association.merging import LinkOptions
 from semviz_annotation.mapping.association.tracks import (
-    OnProgress,
     Tracks,
     find_tracks,
     finish_detected,
@@ -42,6 +41,7 @@ from semviz_core.base.semantic_map import Decision, Provenance, SemanticMap
 from semviz_core.common.arrays import IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.jit import Stopwatch
+from semviz_core.common.progress import OnProgress, unwatched
 from semviz_core.pose_checks.pose_covariance import PoseCovariance
 
 PART_ID = 1_000_000
@@ -319,7 +319,7 @@ def build_map(
     source: Dataset,
     options: Options = DEFAULT_OPTIONS,
     frames: Collection[int] | None = None,
-    on_progress: OnProgress = lambda what, done, of: None,
+    on_progress: OnProgress = unwatched,
     detections: Proposals | None = None,
     tracking: TrackOptions = DEFAULT_TRACKING,
     poses: PoseCovariance | None = None,
@@ -410,7 +410,7 @@ def rebuild_map(
     old: SemanticMap,
     labels: Labels,
     source: Dataset,
-    on_progress: OnProgress = lambda what, done, of: None,
+    on_progress: OnProgress = unwatched,
     detections: Proposals | None = None,
     poses: PoseCovariance | None = None,
 ) -> tuple[SemanticMap, BuildReport]:

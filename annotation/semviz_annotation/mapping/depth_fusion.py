@@ -11,7 +11,7 @@ voxel grid, which grows until there are no more points than allowed; then isolat
 removed. Only this needs open3d, and only while it runs.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -25,6 +25,7 @@ from semviz_core.base.frame import Dataset, Frame
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import BoolArray, ByteImage, FloatArray
 from semviz_core.common.errors import SemvizError
+from semviz_core.common.progress import OnProgress, unwatched
 
 DepthImage = NDArray[np.float32]
 """(height, width) depth along the optical axis of the left camera, metres; NaN if unknown."""
@@ -135,9 +136,6 @@ BUFFER, KEPT = 2_000_000, 4_000_000
 GROWTH = 1.08
 """Least factor by which voxels grow where there are too many points."""
 
-OnProgress = Callable[[str, int, int], None]
-"""What is done, how much of it, and of how much. May raise to stop the work."""
-
 
 @dataclass(frozen=True)
 class FusionOptions:
@@ -190,7 +188,7 @@ def fuse(
     source: Dataset,
     frames: Sequence[Frame],
     options: FusionOptions,
-    on_progress: OnProgress = lambda what, done, of: None,
+    on_progress: OnProgress = unwatched,
 ) -> Cloud:
     """Return the cloud of ``frames`` of ``source``, which ``chosen_frames`` chose.
 

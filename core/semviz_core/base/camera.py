@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from semviz_core.base.pose import Pose
-from semviz_core.common.arrays import BoolArray, FloatArray, float_array, int_array
+from semviz_core.common.arrays import BoolArray, FloatArray, float_array, int_array, unit_vectors
 from semviz_core.common.errors import SemvizError
 
 MIN_DEPTH_M = 0.1
@@ -85,8 +85,7 @@ class Camera:
         """Return unit rays (n, 3) in camera coordinates: the paper's f = unit(K^-1 [u, v, 1])."""
         plane = self.normalize(pixels_px)
         rays = np.concatenate([plane, np.ones((len(plane), 1))], axis=1)
-        unit: FloatArray = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-        return unit
+        return unit_vectors(rays)
 
     def contains(self, pixels_px: FloatArray) -> BoolArray:
         """Return (n,) whether pixels (n, 2) lie in the image; False for NaN."""

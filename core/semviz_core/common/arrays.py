@@ -1,4 +1,4 @@
-"""Validate arrays where they enter the program, and make them read-only."""
+"""Array types, the checks of arrays that enter the program, and unit vectors."""
 
 import math
 from typing import Any, TypeAlias, TypeVar
@@ -19,6 +19,7 @@ LARGEST = 1e12
 """No coordinate, pixel or variance is larger; squares of larger ones would lose all digits."""
 
 Scalar = TypeVar("Scalar", bound=np.generic)
+Floats = TypeVar("Floats", np.float32, np.float64)
 
 
 def float_array(
@@ -61,6 +62,12 @@ def bool_array(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Bo
 def first_place(wrong: BoolArray) -> str:
     """Return the index of the first True of ``wrong``, for messages: ``[3, 1]``."""
     return str([int(index) for index in np.argwhere(wrong)[0]])
+
+
+def unit_vectors(vectors: NDArray[Floats]) -> NDArray[Floats]:
+    """Return ``vectors`` (..., d) with length 1; zeros stay zeros."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.maximum(length, 1e-12))
 
 
 def _read(value: ArrayLike, name: str, dtype: type[np.float64] | None = None) -> NDArray[Any]:

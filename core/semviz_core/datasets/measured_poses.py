@@ -12,13 +12,13 @@ import numpy as np
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive import conventions
 from semviz_core.datasets.own_drive.adapters.data_sets import is_comma, read_comma_poses
-from semviz_core.datasets.own_drive.colmap_model import is_colmap, read_colmap
-from semviz_core.datasets.own_drive.pose_files import read_poses
-from semviz_core.datasets.own_drive.recorded_cameras import is_nerfstudio, read_nerfstudio
+from semviz_core.datasets.own_drive.cameras.colmap_model import is_colmap, read_colmap
+from semviz_core.datasets.own_drive.cameras.recorded_cameras import is_nerfstudio, read_nerfstudio
+from semviz_core.datasets.own_drive.poses import conventions
+from semviz_core.datasets.own_drive.poses.pose_files import read_poses
+from semviz_core.datasets.own_drive.poses.sensor_table import SensorTable, read_table
 from semviz_core.datasets.own_drive.recording import rows_of_names
-from semviz_core.datasets.own_drive.sensor_table import SensorTable, read_table
 from semviz_core.datasets.trajectory import T_MAP_WORLD
 
 

@@ -25,9 +25,9 @@ from semviz_core.datasets.measured_poses import (
     read_measured_poses,
     read_poses_or_table,
 )
-from semviz_core.datasets.own_drive.conventions import body_axes
+from semviz_core.datasets.own_drive.poses.conventions import body_axes
+from semviz_core.datasets.own_drive.poses.sensor_table import SensorTable, read_table
 from semviz_core.datasets.own_drive.recording import SAME_TIME_S, poses_at_times
-from semviz_core.datasets.own_drive.sensor_table import SensorTable, read_table
 
 TURN_RATE_RAD, TILT_RATE_RAD = float(np.deg2rad(10.0)), float(np.deg2rad(1.0))
 """Standard deviations of how fast a vehicle turns and tilts: an old heading or vertical is as

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from semviz_core.common.arrays import FloatArray, IntArray
+from semviz_core.common.arrays import FloatArray, IntArray, unit_vectors
 from semviz_core.diagnosis.assumptions import POSITION, solve_with_prior
 from semviz_core.diagnosis.cause_fits import (
     LEAST_NATS,
@@ -166,7 +166,7 @@ def _innovations(cases: Sequence[FrameReference]) -> _Innovations | None:
     return _Innovations(
         rows[moving],
         (position_m - center_m)[moving],
-        (ahead / np.linalg.norm(ahead, axis=1, keepdims=True))[moving],
+        (unit_vectors(ahead))[moving],
         np.gradient(center_m, rows, axis=0)[moving],
         float(np.median([cases[row].prior.horizontal_sigma_m for row in rows])),
     )

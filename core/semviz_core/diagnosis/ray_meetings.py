@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from semviz_core.base.detector_model import DetectorModel
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, unit_vectors
 from semviz_core.diagnosis.reference import FrameReference
 
 NEEDED_FRAMES = 3
@@ -88,7 +88,7 @@ class Views:
         camera = cases[0].localization.camera
         return cls(
             np.array([pose.translation[:2] for pose in back]),
-            ahead / np.linalg.norm(ahead, axis=1, keepdims=True),
+            unit_vectors(ahead),
             float(np.arctan(0.5 * camera.width / camera.K[0, 0])),
             cases[0].detector,
         )

@@ -14,7 +14,7 @@ from semviz_core.base.camera import Camera
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.frame import Odometry, Prior
 from semviz_core.base.pose import Pose
-from semviz_core.common.arrays import FloatArray, float_array
+from semviz_core.common.arrays import FloatArray, float_array, unit_vectors
 from semviz_core.common.errors import SemvizError
 from semviz_core.localization.upright import LEAST_SINE, assumed_upright, level_rotation
 
@@ -108,7 +108,7 @@ def prior_of_camera(prior: Prior, T_other_camera: Pose) -> Prior:
         position_m=prior.position_m + raised,
         horizontal_sigma_m=float(np.hypot(prior.horizontal_sigma_m, beside_m)),
         vertical_sigma_m=float(np.hypot(prior.vertical_sigma_m, upright.up_sigma_rad * beside_m)),
-        up_camera=None if prior.up_camera is None else _unit(T_other_camera.rotation @ up),
+        up_camera=None if prior.up_camera is None else unit_vectors(T_other_camera.rotation @ up),
         heading_rad=_other_heading(upright, T_other_camera),
         road_m=None if prior.road_m is None else prior.road_m + raised,
     )
@@ -123,7 +123,3 @@ def _other_heading(upright: Prior, T_other_camera: Pose) -> float | None:
     if np.hypot(ahead, left) < LEAST_SINE:
         return None
     return float(np.angle(np.exp(1j * (upright.heading_rad + np.arctan2(left, ahead)))))
-
-
-def _unit(vector: FloatArray) -> FloatArray:
-    return np.asarray(vector / np.linalg.norm(vector))

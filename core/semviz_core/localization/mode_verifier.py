@@ -25,7 +25,7 @@ from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet, as_known
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Prior
 from semviz_core.base.weights import NetworkWeights, load_trained, version_error
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, unit_vectors
 from semviz_core.localization.search import Modes
 
 MOST_MODES = 8
@@ -194,7 +194,7 @@ def _mapped(
     element is in the level frame, and whether it has a pair and is in view."""
     offset = submap.anchor_m - center[:, None]
     ahead = rotation[:, 2, :2]
-    ahead = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
+    ahead = unit_vectors(ahead)
     forward = (offset[..., :2] * ahead[:, None]).sum(axis=2)
     left = offset[..., 1] * ahead[:, None, 0] - offset[..., 0] * ahead[:, None, 1]
     numbers = np.stack(

@@ -13,7 +13,7 @@ import numpy as np
 from semviz_core.base.frame import Prior
 from semviz_core.base.localization import Refinement
 from semviz_core.base.pose import Pose
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, unit_vectors
 from semviz_core.common.jit import compiled
 from semviz_core.common.linalg import inverse
 from semviz_core.localization.association import associate, pair_gain
@@ -82,7 +82,7 @@ def degeneracy_reason(anchor_m: FloatArray, end_m: FloatArray, known: BoolArray)
 
 
 def _parallel(directions: FloatArray) -> bool:
-    unit = directions / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)
+    unit = unit_vectors(directions)
     return bool((np.abs(unit @ unit[0]) > np.cos(PARALLEL_RAD)).all())
 
 

@@ -1,7 +1,7 @@
 """Publish a version of a map in tiles: write the tiles that are new, then the manifest."""
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -14,6 +14,7 @@ from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
+from semviz_core.common.progress import OnProgress, unwatched
 from semviz_core.common.store import Store
 from semviz_core.map_tiles.manifest import (
     Cell,
@@ -30,8 +31,6 @@ CELL_M = 200
 """Side of a cell: a crop of 120 m reads nine tiles at most, and few elements that it leaves out."""
 WRITERS = 8
 """Threads that write tiles."""
-OnProgress = Callable[[str, int, int], None]
-"""Is told what is done, how many parts of it, and of how many."""
 
 
 _NONE: IntArray = np.zeros(0, np.int64)
@@ -42,7 +41,7 @@ def publish_map(
     semantic_map: SemanticMap,
     parent: int | None,
     by: str,
-    on_progress: OnProgress = lambda what, done, of: None,
+    on_progress: OnProgress = unwatched,
 ) -> Manifest:
     """Publish a map as the version after ``parent``, from which it was made; None: as the first.
 

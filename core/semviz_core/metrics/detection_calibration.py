@@ -20,7 +20,7 @@ from semviz_core.base.detector_model import (
     calibrated,
 )
 from semviz_core.base.elements import Elements2D, joined
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, unit_vectors
 from semviz_core.common.errors import SemvizError
 from semviz_core.metrics.detection import (
     FALSE_POSITIVE,
@@ -300,7 +300,7 @@ def _hidden(image: CalibrationImage) -> BoolArray:
     rows = _known_bottoms(image)
     detections, true = image.detections[rows], image.truth.elements[image.matches[rows]]
     axis = true.end_px - true.anchor_px
-    unit = axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    unit = unit_vectors(axis)
     above_px = ((true.end_px - detections.end_px) * unit).sum(axis=1)
     limit_px = np.maximum(HIDDEN_SIGMAS * detections.sigma_px[:, 1], HIDDEN_PX)
     hidden = np.zeros(len(rows), bool)

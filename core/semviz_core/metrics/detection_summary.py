@@ -12,7 +12,7 @@ import numpy as np
 
 from semviz_core.base.classes import ClassSet, ElementClass
 from semviz_core.base.elements import Elements2D, joined
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, unit_vectors
 from semviz_core.metrics import detection
 from semviz_core.metrics.detection import ClassAccuracy, ImageErrors, rms
 
@@ -68,7 +68,7 @@ def errors_and_sigmas(
 def _pole_errors(detections: Elements2D, true: Elements2D) -> tuple[FloatArray, FloatArray]:
     """Return the ends' errors (k, 2) across the true line, and (k, 2) along it."""
     axis = true.end_px - true.anchor_px
-    unit = axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    unit = unit_vectors(axis)
     normal = np.stack([unit[:, 1], -unit[:, 0]], axis=1)
     offset = np.stack(
         [detections.anchor_px - true.anchor_px, detections.end_px - true.end_px], axis=1
@@ -333,7 +333,7 @@ def _ends_figures(detections: Elements2D, true: Elements2D, end: str) -> EndsFig
     """Return the figures of the peaks (``anchor``) or bottoms (``end``) of poles."""
     reported, visible = getattr(detections, f"{end}_known"), getattr(true, f"{end}_known")
     axis = true.end_px - true.anchor_px
-    along = axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    along = unit_vectors(axis)
     offset = getattr(detections, f"{end}_px") - getattr(true, f"{end}_px")
     both = reported & visible
     error = (offset * along).sum(axis=1)[both]

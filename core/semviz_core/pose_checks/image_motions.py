@@ -5,10 +5,10 @@ Motions depend on images and calibration only, so one measurement serves every s
 
 import json
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import safetensors.numpy
@@ -21,10 +21,10 @@ from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.files import replacing
 from semviz_core.common.limits import MOST_TENSOR_BYTES, check_file, parsed_json
+from semviz_core.common.progress import OnProgress, unwatched
 from semviz_core.pose_checks.motion import UNKNOWNS, Motion, measure_motion
 from semviz_core.pose_checks.tracks import PointTracks, tracks_of
 
-OnProgress: TypeAlias = Callable[[str, int, int], None]
 METHOD = 1
 """Changes when the same images give other motions."""
 _KEY = "image_motions"
@@ -102,7 +102,7 @@ def motions_of(tracks: Sequence[PointTracks], frames: Sequence[Frame], rig: Rig)
 def measure_motions(
     dataset: Dataset,
     frames: Sequence[Frame],
-    on_progress: OnProgress = lambda what, done, of: None,
+    on_progress: OnProgress = unwatched,
 ) -> ImageMotions:
     """Measure the motion from each of ``frames`` to the next from their images.
 

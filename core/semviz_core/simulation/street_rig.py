@@ -16,7 +16,7 @@ from semviz_core.base.camera import Camera
 from semviz_core.base.elements import Elements2D
 from semviz_core.base.pose import Pose, so3_exp
 from semviz_core.common.arrays import ByteImage, FloatArray, IntArray
-from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera
+from semviz_core.datasets.own_drive.cameras.lens import LensModel, OriginalCamera
 from semviz_core.datasets.own_drive.recording import poses_at_times
 from semviz_core.simulation.drawing import PinholeView
 from semviz_core.simulation.street import (

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from semviz_core.base.classes import TriangleCenter
-from semviz_core.common.arrays import ByteImage, FloatArray
+from semviz_core.common.arrays import ByteImage, FloatArray, unit_vectors
 from semviz_core.common.jit import compiled
 from semviz_core.common.linalg import cholesky, solve_cholesky
 from semviz_core.subpixel.sampling import SampledImage, Samples, color_at
@@ -106,7 +106,7 @@ def _outline_points(shape: str, per_side: int, half: FloatArray) -> tuple[FloatA
     """Return points and unit normals of an outline of half size (2,), relative to its centre."""
     points, normals = _unit(shape, per_side)
     turned = normals / half
-    return points * half, turned / np.linalg.norm(turned, axis=-1, keepdims=True)
+    return points * half, unit_vectors(turned)
 
 
 def outline_polygon(outline: Outline) -> FloatArray:

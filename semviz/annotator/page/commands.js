@@ -1,17 +1,17 @@
 // @ts-check
 // All commands of the page with their keys, for the key handler and the help overlay.
 /** @import {Command} from "/static/keys.js" */
-/** @import {Images} from "./images.js" */
+/** @import {Images} from "./images/images.js" */
 /** @import {Page} from "./main.js" */
 /** @import {State} from "./state.js" */
 /** @import {Aids, Observation, Point} from "./values.js" */
 import { switchTheme } from "/static/theme.js";
-import { backToImages, nextPanel } from "./focus.js";
-import { toggleHistory } from "./history.js";
-import { jumpCommands } from "./jumps.js";
+import { backToImages, nextPanel } from "./panels/focus.js";
+import { toggleHistory } from "./history/history.js";
+import { jumpCommands } from "./panels/jumps.js";
 import { proposalCommands, proposing, whyIncomplete } from "./proposals.js";
-import { reviewCommands } from "./review.js";
-import { secondCommands } from "./second.js";
+import { reviewCommands } from "./panels/review.js";
+import { secondCommands } from "./images/second.js";
 import { travelCommands } from "./travel.js";
 import { all, severalEdits } from "./selection.js";
 import { NONE_CHOSEN, SIDES, other, uuid7 } from "./values.js";

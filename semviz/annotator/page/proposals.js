@@ -2,7 +2,7 @@
 // The proposal keys: accept, reject, swap with the runner-up, step through.
 /** @import {annotator} from "/static/protocol" */
 /** @import {Command} from "/static/keys.js" */
-/** @import {Images} from "./images.js" */
+/** @import {Images} from "./images/images.js" */
 /** @import {Page} from "./main.js" */
 /** @import {State} from "./state.js" */
 /** @import {Proposal, Side} from "./values.js" */

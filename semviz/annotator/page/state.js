@@ -2,7 +2,7 @@
 // The state of the page and what follows from it. No DOM here.
 /** @import {annotator} from "/static/protocol" */
 /** @import {Aids, Brightness, Correction, Dragged, Drawing, ElementClass, Entry, Ghost, Proposal, OpenReview, PageLabels, Point, Question, Rectangle, Selected, ShownElement, Side} from "./values.js" */
-import { find, isSettled, standing, swapped, withPending } from "./pending.js";
+import { find, isSettled, standing, swapped, withPending } from "./saving/pending.js";
 import { NONE_CHOSEN, SIDES } from "./values.js";
 
 export const LEAST_SCORE = 0.05; // of a proposal that was found in the image; below, it is where the element should be

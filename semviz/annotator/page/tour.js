@@ -3,7 +3,7 @@
 /** @import {Keys} from "/static/keys.js" */
 /** @import {State} from "./state.js" */
 import { byId, el } from "/static/dom.js";
-import { RenderCache, badge } from "./widgets.js";
+import { RenderCache, badge } from "./panels/widgets.js";
 
 const STORAGE_KEY = "semviz.tour";
 

@@ -1,7 +1,7 @@
 // @ts-check
 // Ways through the drive: go to a frame by its number, play the frames.
 /** @import {Command} from "/static/keys.js" */
-/** @import {Images} from "./images.js" */
+/** @import {Images} from "./images/images.js" */
 /** @import {Page} from "./main.js" */
 /** @import {State} from "./state.js" */
 import { el } from "/static/dom.js";

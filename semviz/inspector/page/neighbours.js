@@ -5,8 +5,8 @@
 import { Surface, View, cssColor, pointerAt } from "/static/canvas.js";
 import { byId, fixed } from "/static/dom.js";
 import { ON_IMAGE, drawMark } from "/static/glyphs.js";
-import { drawMapped, drawPhoto, drawDetection } from "./image_drawing.js";
-import { middle } from "./image_model.js";
+import { drawMapped, drawPhoto, drawDetection } from "./image/image_drawing.js";
+import { middle } from "./image/image_model.js";
 
 /** @typedef {import("./panel.js").Figure} Figure */
 /** @typedef {import("./run_rows.js").FrameRow} FrameRow */

@@ -5,7 +5,7 @@ labels, in memory, as a label element whose observations have the ids of its det
 building, decisions and lint treat labels and detections alike.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -47,6 +47,7 @@ from semviz_core.base.frame import Dataset
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
+from semviz_core.common.progress import OnCount, unwatched
 
 __all__ = [
     "TRACK_NUMBER",
@@ -177,7 +178,7 @@ def detection_labels(
     link: LinkOptions,
     options: TrackOptions = TrackOptions(),
     frames: Collection[int] | None = None,
-    on_progress: Callable[[int, int], None] = lambda done, of: None,
+    on_progress: OnCount = unwatched,
 ) -> JoinedDetections:
     """Return ``labels`` joined with the tracks of ``detections`` in ``frames`` (None: all).
 
@@ -251,7 +252,7 @@ def _search(
     drive: DetectedDrive,
     searched: BoolArray,
     options: SearchOptions,
-    on_progress: Callable[[int, int], None],
+    on_progress: OnCount,
 ) -> _Tracks:
     """Return the tracks of what labels do not explain."""
     owner = drive.initial_owner()

@@ -19,7 +19,7 @@ import numpy as np
 
 from semviz_annotation.mapping.placement.linear import end_rays
 from semviz_annotation.mapping.placement.observations import ObservationArray, ViewArray
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, unit_vectors
 from semviz_core.common.jit import compiled
 
 _LEAST_UPRIGHT = 0.5
@@ -67,7 +67,7 @@ class GroundRays:
         share = np.clip(np.nan_to_num(share), -_BEYOND, 1.0 + _BEYOND)
         direction, sound = _towards(ends, is_line)
         forward = views.R[observations.view, 2, :2]
-        forward = forward / np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-9)
+        forward = unit_vectors(forward)
         cosine = np.clip((forward * direction).sum(axis=1), 0.1, 1.0)
         px_rad = sigma_px * observations.sigma_ratio / views.K[observations.view, 0, 0][:, None]
         return cls(
@@ -137,7 +137,7 @@ class DriveImages:
         return cls(
             path_m=path[frame],
             center_m=np.ascontiguousarray(center[:, :2]),
-            forward=forward / np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-9),
+            forward=unit_vectors(forward),
             edges=np.stack([left, right], axis=1),
             focal_px=K[:, 0, 0].copy(),
             size_px=size_px,

@@ -8,7 +8,6 @@ well, far ones do not, so well-located nodes are linked first and others join th
 without a position of their own (one image only) come last.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,6 +22,7 @@ from semviz_annotation.mapping.placement.triangulation import best_of_pairs, tri
 from semviz_core.base.camera import MIN_DEPTH_M
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
+from semviz_core.common.progress import OnCount
 
 CHANCE = 1e-6
 """Probability that a good label counts as an outlier: the level of each chi2 test."""
@@ -185,7 +185,7 @@ class TrackMerging:
         """(n, 6) anchor and end of each group, in the row of the node that names it."""
         return self._places.ends_m
 
-    def run(self, on_progress: Callable[[int, int], None]) -> None:
+    def run(self, on_progress: OnCount) -> None:
         """Merge until nothing more fits; ``on_progress`` counts levels."""
         for done, level_m in enumerate(_LEVELS_M):
             fresh = np.ones(len(self.group), dtype=bool)

@@ -24,6 +24,7 @@ from semviz_annotation.mapping.association.ray_votes import (
 )
 from semviz_core.base.detector_model import DetectorModel
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.progress import OnCount
 
 _WINDOW_M = 60.0
 """Images farther than this before or after a detection along the drive are not searched: a second
@@ -81,7 +82,7 @@ def search_tracks(
     images: DriveImages,
     expected: BoolArray,
     options: SearchOptions,
-    on_progress: Callable[[int, int], None],
+    on_progress: OnCount,
 ) -> FoundTracks:
     """Return the tracks of rays of each class ``kind`` (k,), seen in image (k,).
 
@@ -106,7 +107,7 @@ def search_tracks(
     return FoundTracks(track, np.concatenate(places), np.concatenate(odds))
 
 
-def _show(on_progress: Callable[[int, int], None], before: int, total: int, done: int) -> None:
+def _show(on_progress: OnCount, before: int, total: int, done: int) -> None:
     on_progress(before + done, total)
 
 

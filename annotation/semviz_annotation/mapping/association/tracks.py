@@ -4,9 +4,9 @@ Parts of label elements are linked, and the poses optimized if they may move. Th
 triangulated from all observations that fit it and no other landmark.
 """
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,9 +39,7 @@ from semviz_annotation.mapping.placement.observations import (
     ViewArray,
 )
 from semviz_core.common.arrays import BoolArray, IntArray
-
-OnProgress: TypeAlias = Callable[[str, int, int], None]
-"""Callback with the stage, the count that is done, and the total."""
+from semviz_core.common.progress import OnCount, OnProgress
 
 
 class ForbiddenMerge(NamedTuple):
@@ -316,7 +314,7 @@ def _forbidden_merges(merging: TrackMerging, cannot_link: CannotLink) -> Iterato
         yield ForbiddenMerge(nodes, reason, float(result.chi2[row]), int(result.freedom[row]))
 
 
-def _named(stage: str, on_progress: OnProgress) -> Callable[[int, int], None]:
+def _named(stage: str, on_progress: OnProgress) -> OnCount:
     return lambda done, of: on_progress(stage, done, of)
 
 

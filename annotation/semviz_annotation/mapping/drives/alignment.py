@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from semviz_annotation.mapping.drives.corrections import PoseModel
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, unit_vectors
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -83,7 +83,7 @@ def information_of(
     neither in its covariance nor a correction of its drive.
     """
     axis = np.nan_to_num(ends_m[:, :3] - ends_m[:, 3:])
-    axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
+    axis = unit_vectors(axis)
     along_m2 = np.einsum("ni,nj->nij", axis, axis) * _ALONG_M**2
     whole_m2 = scatter_m[:, None, None] ** 2 * np.kron(np.ones((2, 2)), np.eye(3))
     spread_m2 = covariance_m2 + whole_m2 + LEAST_M**2 * np.eye(6)

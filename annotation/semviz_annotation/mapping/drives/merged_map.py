@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from semviz_annotation.mapping.association.tracks import OnProgress
 from semviz_annotation.mapping.drives.merge import DEFAULT_OPTIONS, MergeOptions, Merging, Stack
 from semviz_annotation.mapping.drives.regions import merge_elements
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import MapFrame, Provenance, SemanticMap
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive.conventions import map_on_earth
+from semviz_core.common.progress import OnProgress, unwatched
+from semviz_core.datasets.own_drive.poses.conventions import map_on_earth
 
 _STILL_M = 0.001
 _TOO_LARGE = 1.25
@@ -93,7 +93,7 @@ class MergedDrives(NamedTuple):
 def merge_maps(
     maps: Mapping[str, SemanticMap],
     options: MergeOptions = DEFAULT_OPTIONS,
-    on_progress: OnProgress = lambda what, done, of: None,
+    on_progress: OnProgress = unwatched,
 ) -> MergedDrives:
     """Return the map of all drives, in the frame of the first one, and what was merged.
 

@@ -16,7 +16,6 @@ from itertools import count
 
 import numpy as np
 
-from semviz_annotation.mapping.association.tracks import OnProgress
 from semviz_annotation.mapping.drives.alignment import Alignment
 from semviz_annotation.mapping.drives.corrections import Knots
 from semviz_annotation.mapping.drives.merge import (
@@ -30,6 +29,7 @@ from semviz_annotation.mapping.drives.merge import (
 )
 from semviz_core.base.semantic_map import SemanticMap
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.progress import OnProgress, unwatched
 
 REGION_M = 2000.0
 """Side of the square of a region; their corners lie at multiples of it in the frame of the map."""
@@ -53,7 +53,7 @@ class MapRegion:
 def merge_elements(
     maps: Sequence[SemanticMap],
     options: MergeOptions = DEFAULT_OPTIONS,
-    on_progress: OnProgress = lambda what, done, of: None,
+    on_progress: OnProgress = unwatched,
 ) -> Merging:
     """Return which elements of ``maps``, all of one frame, are one landmark, and where it is.
 

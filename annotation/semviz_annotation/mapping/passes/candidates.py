@@ -12,7 +12,6 @@ from semviz_annotation.labels.proposals import Proposals
 from semviz_annotation.mapping.association.detection_tracks import TrackOptions, detection_labels
 from semviz_annotation.mapping.association.merging import LinkOptions
 from semviz_annotation.mapping.association.tracks import (
-    OnProgress,
     find_tracks,
     finish_detected,
 )
@@ -29,6 +28,7 @@ from semviz_core.base.frame import Frame, Side
 from semviz_core.base.semantic_map import MapFrame, SemanticMap
 from semviz_core.common.arrays import ByteImage
 from semviz_core.common.errors import SemvizError
+from semviz_core.common.progress import OnProgress, unwatched
 
 MIN_FRAMES, MIN_IN_PASS = 4, 2
 """So many frames detect a candidate, in all passes and in each: an element far beside the road, or
@@ -73,7 +73,7 @@ def candidates(
     if not found.elements:
         return NO_ELEMENTS
     together = LabelObservations.joined(gathered)
-    tracks = find_tracks(found, together, linking, None, lambda what, done, of: None)
+    tracks = find_tracks(found, together, linking, None, unwatched)
     elements, _ = map_elements(finish_detected(tracks, found.elements, MIN_FRAMES))
     ids = semantic_map.elements.id
     return replace(elements, id=np.arange(len(elements)) + (int(ids.max()) + 1 if len(ids) else 1))

@@ -15,7 +15,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from semviz_annotation.labels.labels import Labels
-from semviz_annotation.mapping.association.tracks import OnProgress
 from semviz_annotation.mapping.passes.candidates import candidates
 from semviz_annotation.mapping.passes.evidence import Evidence, Pass, evidence_of
 from semviz_annotation.mapping.passes.existence import (
@@ -28,6 +27,7 @@ from semviz_core.base.elements import Elements3D, joined
 from semviz_core.base.semantic_map import SemanticMap, footprint_m
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
+from semviz_core.common.progress import OnProgress, unwatched
 
 ChangeKind = Literal["vanished", "new", "moved", "unsure"]
 KINDS: tuple[ChangeKind, ...] = ("vanished", "new", "moved", "unsure")
@@ -147,7 +147,7 @@ def find_changes(
     passes: Sequence[Pass],
     semantic_map: SemanticMap,
     labels: Labels,
-    on_progress: OnProgress = lambda what, done, of: None,
+    on_progress: OnProgress = unwatched,
 ) -> MapChanges:
     """Return what passes, oldest first, say about the elements of a map.
 

@@ -7,7 +7,6 @@ complement; Triggs et al. 2000, 6.1). The rest is sparse: frames couple only whe
 same landmarks.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -22,6 +21,7 @@ from semviz_annotation.mapping.placement.landmarks import Landmarks, measure_lan
 from semviz_annotation.mapping.placement.observations import ObservationArray, ViewArray
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
+from semviz_core.common.progress import OnCount, unwatched
 from semviz_core.pose_checks.pose_covariance import PoseCovariance
 
 _AT_ONCE = 32
@@ -246,7 +246,7 @@ def bundle_adjust(
     observations: ObservationArray,
     placed: Landmarks,
     options: RefineOptions = RefineOptions(),
-    on_progress: Callable[[int, int], None] = lambda done, of: None,
+    on_progress: OnCount = unwatched,
 ) -> BundleResult:
     """Optimize the landmarks in ``placed`` that have a position, and the frames of ``views``.
 

@@ -18,7 +18,7 @@ from semviz_annotation.labels.views import PosedView, rig_view
 from semviz_core.base.camera import Camera, Rig
 from semviz_core.base.frame import Dataset, Side
 from semviz_core.base.pose import Pose
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, unit_vectors
 from semviz_core.common.errors import SemvizError
 
 Number = TypeVar("Number", bound=np.generic)
@@ -59,7 +59,7 @@ class ViewArray:
         homogeneous = np.concatenate([pixels_px, np.ones((len(pixels_px), 1))], axis=1)
         to_map = np.linalg.inv(self.projection[:, :, :3])
         rays = (to_map[rows] @ homogeneous[:, :, None])[:, :, 0]
-        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+        return unit_vectors(rays)
 
     def depth_m(self, rows: IntArray, points_m: FloatArray) -> FloatArray:
         """Return depths (k,) of points (k, 3), each in the view in its row (k,)."""

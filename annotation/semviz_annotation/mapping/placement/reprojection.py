@@ -12,7 +12,7 @@ import numpy as np
 from semviz_annotation.mapping.placement.linear import MIN_ANGLE_RAD, beyond_horizon
 from semviz_annotation.mapping.placement.observations import ObservationArray, ViewArray
 from semviz_core.base.camera import MIN_DEPTH_M
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, unit_vectors
 from semviz_core.common.errors import SemvizError
 
 _KINDS = [0, 0, 1, 2]
@@ -137,7 +137,7 @@ def _fill_lines(
     known = (observations.anchor_known, observations.end_known)
     places, by_place = (anchor, end), (of_anchor, of_end)
     seen_along = seen_px[1] - seen_px[0]  # not along the landmark: a stray line would turn it
-    seen_along /= np.maximum(np.linalg.norm(seen_along, axis=1, keepdims=True), 1e-9)
+    seen_along = unit_vectors(seen_along)
     for which in range(2):
         off = places[which] - seen_px[which]
         share = ((seen_px[which] - anchor) * along).sum(axis=1)[:, None] / length

@@ -6,7 +6,7 @@ RANSAC (Fischler and Bolles 1981), but the pairs are not random. A single elemen
 fast enough to follow a dragged mark; that result equals the linear one.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,6 +35,7 @@ from semviz_annotation.mapping.placement.reprojection import (
 from semviz_core.base.camera import Rig
 from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
+from semviz_core.common.progress import OnCount, unwatched
 
 __all__ = [
     "Landmarks",
@@ -93,7 +94,7 @@ def triangulate_landmarks(
     views: ViewArray,
     observations: ObservationArray,
     options: PlaceOptions = PlaceOptions(),
-    on_progress: Callable[[int, int], None] = lambda done, of: None,
+    on_progress: OnCount = unwatched,
 ) -> Landmarks:
     """Triangulate the landmarks of ``observations`` from all their views; ``on_progress`` counts
     them."""

@@ -13,7 +13,7 @@ import numpy as np
 from semviz_core.base.classes import OLDER_CENTER, TRIANGULAR, TriangleCenter, describe_center
 from semviz_core.base.elements import Elements3D
 from semviz_core.base.semantic_map import SemanticMap, footprint_m
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, unit_vectors
 from semviz_core.common.errors import SemvizError
 
 SAME_PLACE_M = 1.0
@@ -287,7 +287,7 @@ def _displacement(base: Elements3D, other: Elements3D) -> tuple[FloatArray, Floa
     states none."""
     lines = base.is_line & other.is_line
     axis = np.where(lines[:, None], base.end_m - base.anchor_m, 0.0)
-    axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-12)
+    axis = unit_vectors(axis)
     by_end = [
         _end_displacement(
             other.anchor_m - base.anchor_m,

@@ -23,7 +23,7 @@ from semviz_annotation.mapping.quality.lint_context import (
 from semviz_core.base.camera import MIN_DEPTH_M
 from semviz_core.base.frame import Dataset, Frame
 from semviz_core.base.semantic_map import SemanticMap
-from semviz_core.common.arrays import FloatArray
+from semviz_core.common.arrays import FloatArray, unit_vectors
 
 __all__ = [
     "RULES",
@@ -114,7 +114,7 @@ def narrow_rays(context: LintContext) -> Iterator[Finding]:
         if is_line[row]:  # only the angle across the line counts
             axis = elements.end_m[row] - elements.anchor_m[row]
             away = away - np.outer(away @ axis, axis) / max(axis @ axis, 1e-12)
-        away = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+        away = unit_vectors(away)
         angle = np.rad2deg(2.0 * np.arcsin(min(1.0, _widest(away) / 2.0)))
         if angle < NARROW_DEG:
             sigma = np.sqrt(np.linalg.eigvalsh(elements.covariance_m2[row, :3, :3])[-1])

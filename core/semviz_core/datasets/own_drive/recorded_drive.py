@@ -13,12 +13,11 @@ import numpy as np
 from semviz_core.base.frame import Frame
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
-from semviz_core.datasets.own_drive import conventions
-from semviz_core.datasets.own_drive.calibration import CalibrationFile
-from semviz_core.datasets.own_drive.color_orders import ColorOrder
-from semviz_core.datasets.own_drive.image_files import ImageTimes, LeftOutImage
-from semviz_core.datasets.own_drive.lens import OriginalCamera, OriginalRig
-from semviz_core.datasets.own_drive.recorded_images import (
+from semviz_core.datasets.own_drive.cameras.calibration import CalibrationFile
+from semviz_core.datasets.own_drive.cameras.lens import OriginalCamera, OriginalRig
+from semviz_core.datasets.own_drive.images.color_orders import ColorOrder
+from semviz_core.datasets.own_drive.images.image_files import ImageTimes, LeftOutImage
+from semviz_core.datasets.own_drive.images.recorded_images import (
     Reading,
     RecordedImages,
     Statements,
@@ -29,12 +28,13 @@ from semviz_core.datasets.own_drive.recorded_images import (
     read_world_poses,
     without_pose,
 )
-from semviz_core.datasets.own_drive.recording import DriveFiles
-from semviz_core.datasets.own_drive.rectification import (
+from semviz_core.datasets.own_drive.images.rectification import (
     RectifiedRig,
     rectify_cameras,
     rectify_rig,
 )
+from semviz_core.datasets.own_drive.poses import conventions
+from semviz_core.datasets.own_drive.recording import DriveFiles
 
 _LOST_VIEW = 0.75
 """A camera of a rig that keeps less of its field of view is worth a warning."""

@@ -16,11 +16,12 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
-from semviz_core.datasets.own_drive import conventions, image_files
-from semviz_core.datasets.own_drive.calibration import CalibrationFile
-from semviz_core.datasets.own_drive.color_orders import ColorOrder
-from semviz_core.datasets.own_drive.image_files import SUFFIXES, TimeUnit
-from semviz_core.datasets.own_drive.rectification import MOST_VIEW_DEG
+from semviz_core.datasets.own_drive.cameras.calibration import CalibrationFile
+from semviz_core.datasets.own_drive.images import image_files
+from semviz_core.datasets.own_drive.images.color_orders import ColorOrder
+from semviz_core.datasets.own_drive.images.image_files import SUFFIXES, TimeUnit
+from semviz_core.datasets.own_drive.images.rectification import MOST_VIEW_DEG
+from semviz_core.datasets.own_drive.poses import conventions
 
 MOST_GAP_S = 0.25
 """Default of the longest time between two poses across which one is interpolated."""

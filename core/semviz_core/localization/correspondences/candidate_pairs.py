@@ -22,7 +22,7 @@ from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet, as_known
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Prior
 from semviz_core.base.pose import Pose
-from semviz_core.common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, ComplexArray, FloatArray, IntArray, unit_vectors
 from semviz_core.common.jit import compiled
 from semviz_core.localization import upright
 from semviz_core.localization.problem import perpendicular
@@ -186,7 +186,7 @@ def level_view(sample: Sample) -> Level:
     R = upright.level_rotation(up)
     anchor, end = sample.ray @ R.T, sample.bottom_ray @ R.T
     middle = (anchor + end)[:, :2]
-    unit = middle / np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-9)
+    unit = unit_vectors(middle)
     slope = [ray[:, 2] / np.maximum(np.hypot(ray[:, 0], ray[:, 1]), 1e-3) for ray in (anchor, end)]
     return Level(unit[:, 0] + 1j * unit[:, 1], np.column_stack(slope), sigma)
 

@@ -22,7 +22,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from semviz_core.base.camera import MIN_DEPTH_M
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, unit_vectors
 from semviz_core.common.jit import compiled
 from semviz_core.localization.matched.matches import Matches
 from semviz_core.localization.matched.p3p import MOST_POSES, solve_p3p
@@ -58,8 +58,8 @@ class Constraints:
             ray=np.where(by_peak, first, last),
             point_m=np.where(by_peak, anchor, end),
             is_line=matches.is_line,
-            normal=_unit(np.cross(first, last)),
-            direction=_unit(end - anchor),
+            normal=unit_vectors(np.cross(first, last)),
+            direction=unit_vectors(end - anchor),
         )
 
     def two_suffice(self, upright: bool) -> BoolArray:
@@ -125,7 +125,7 @@ def _two_poles(constraints: Constraints, samples: IntArray) -> Solutions:
     import poselib
 
     ray, point = constraints.ray[samples], constraints.point_m[samples]
-    joined = _unit(np.cross(ray[:, 0], ray[:, 1])), _unit(point[:, 1] - point[:, 0])
+    joined = unit_vectors(np.cross(ray[:, 0], ray[:, 1])), unit_vectors(point[:, 1] - point[:, 0])
     normal = np.concatenate([constraints.normal[samples], joined[0][:, None]], axis=1)
     direction = np.concatenate([constraints.direction[samples], joined[1][:, None]], axis=1)
     on_line = np.concatenate([point, point[:, :1]], axis=1)
@@ -206,8 +206,3 @@ def solve_upright(
         offset[2] -= first_m[2]
         solutions.append((c, s, offset))
     return solutions
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.maximum(length, 1e-12))

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from semviz_core.base.camera import MIN_DEPTH_M
 from semviz_core.base.pose import Pose, so3_exp, so3_left_jacobian, so3_log
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, float_array
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, float_array, unit_vectors
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.jit import compiled
 from semviz_core.localization.least_squares import information
@@ -63,8 +63,8 @@ class Objective:
         ``origin_m`` (3,)."""
         line, point = matches.is_line, matches.known()[:, 0]
         (first, last), (anchor, end) = matches.rays(), matches.points_m()
-        down, _ = _unit(end - anchor)
-        normal, _ = _unit(np.cross(first, last))
+        down = unit_vectors(end - anchor)
+        normal = unit_vectors(np.cross(first, last))
         return cls(
             weight[point],
             first[point],
@@ -79,12 +79,12 @@ class Objective:
         rotvec, translation = parameters[:3], parameters[3:]
         R = so3_exp(rotvec)
         turned = self.point_m @ R.T, self.line_point_m @ R.T
-        u, distance = _unit(turned[0] + translation)
+        u, distance = _unit_and_length(turned[0] + translation)
         cosine = (self.ray * u).sum(axis=1)
         f_p = float(self.weight @ (1.0 - cosine))
         by_point = -self.weight[:, None] * (self.ray - cosine[:, None] * u) / distance
 
-        u, distance = _unit(turned[1] + translation)
+        u, distance = _unit_and_length(turned[1] + translation)
         sine = (self.normal * u).sum(axis=1)
         norm = np.sqrt(np.maximum(1.0 - sine**2, 1e-12))  # |n x u|
         f_l = float(self.line_weight @ (1.0 - norm))
@@ -130,7 +130,7 @@ _SCALE = 1e4
 """1 - cos of a few pixels is tiny; the stopping rules of L-BFGS expect costs of about 1."""
 
 
-def _unit(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _unit_and_length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
     length = np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
     return vectors / length, length
 

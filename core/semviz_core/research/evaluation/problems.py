@@ -20,7 +20,7 @@ from semviz_core.base.detector_model import NOISE, RANGE_M, DetectorModel
 from semviz_core.base.elements import Elements2D, Elements3D, joined
 from semviz_core.base.frame import Prior
 from semviz_core.base.pose import Pose
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, unit_vectors
 from semviz_core.datasets.priors import PriorOptions, simulate_prior
 from semviz_core.research.evaluation.roads import (
     BenchmarkRoad,
@@ -404,7 +404,7 @@ def _disturbed(true: Elements2D, noise: FloatArray, level: Difficulty) -> Elemen
     down = np.tile([0.0, 1.0], (len(true), 1))
     line = true.is_line
     axis = true.end_px[line] - true.anchor_px[line]
-    down[line] = axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    down[line] = unit_vectors(axis)
     across = np.stack([down[:, 1], -down[:, 0]], axis=1)
     offset = noise[:, :, :1] * (sigma[:, :1] * across)[:, None]
     offset = offset + noise[:, :, 1:] * (sigma[:, 1:] * down)[:, None]

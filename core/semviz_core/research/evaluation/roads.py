@@ -18,7 +18,7 @@ from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED, TRIANGULAR
 from semviz_core.base.elements import Elements3D, joined
 from semviz_core.base.pose import Pose
 from semviz_core.base.semantic_map import SemanticMap
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, float_array
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, float_array, unit_vectors
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import MOST_TEXT_BYTES, check_file, first_line
 from semviz_core.datasets.trajectory import T_MAP_WORLD, parsed_numbers, read_numbers, read_text
@@ -109,7 +109,7 @@ def _mapping_view(true: Elements3D, trajectory_m: FloatArray) -> FloatArray:
     choice = np.where(passed, np.inf, np.abs(distance - MAPPED_FROM_M)).argmin(axis=1)
     view = np.zeros((len(true), 3))
     view[:, :2] = offset[np.arange(len(true)), choice]
-    return np.asarray(view / np.maximum(np.linalg.norm(view, axis=1, keepdims=True), 1e-9))
+    return unit_vectors(view)
 
 
 def _covariance(true: Elements3D, view: FloatArray) -> FloatArray:
@@ -214,7 +214,7 @@ class BenchmarkRoad:
             offset = pole - self.center_m[max(0, nearest - 100) : nearest + 1, :2]
             distance = np.linalg.norm(offset, axis=1)
             views[row] = offset[np.abs(distance - MAPPED_FROM_M).argmin()]
-        return np.asarray(views / np.maximum(np.linalg.norm(views, axis=1, keepdims=True), 1e-9))
+        return unit_vectors(views)
 
     def near(self, place_m: FloatArray, radius_m: float) -> FloatArray:
         """Return thinned camera centres (k, 3) within ``radius_m`` of ``place_m``, horizontally."""
@@ -368,7 +368,7 @@ def simulated_road(seed: int) -> BenchmarkRoad:
     c, s = np.cos(turn), np.sin(turn)
     middle = middle @ np.array([[c, s], [-s, c]])
     ahead = np.gradient(middle, axis=0)
-    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    ahead = unit_vectors(ahead)
     path = middle + _LANE_M * np.column_stack([ahead[:, 1], -ahead[:, 0]])
     hills = rng.uniform(0.0, 2.0 * np.pi, 2)
     height = 50.0 * _HILL_SLOPE * np.sin(middle / 50.0 + hills).sum(axis=1) / np.sqrt(2.0)
@@ -405,7 +405,7 @@ def _poles(track: FloatArray, rng: np.random.Generator) -> FloatArray:
     sides = np.repeat(2.0 * side - 1.0, count[side, cell])
     offset = LEAST_OFFSET_M + rng.gamma(1.8, 3.5, len(rows))
     ahead = np.gradient(track[:, :2], axis=0)[rows]
-    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    ahead = unit_vectors(ahead)
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
     along = rng.uniform(-0.5, 0.5, len(rows))
     return np.asarray(track[rows, :2] + along[:, None] * ahead + (sides * offset)[:, None] * left)

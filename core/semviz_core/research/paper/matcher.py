@@ -37,7 +37,7 @@ from semviz_core.base.classes import ClassSet
 from semviz_core.base.elements import Elements2D, Elements3D
 from semviz_core.base.frame import Prior
 from semviz_core.base.weights import NetworkWeights, load_trained, version_error
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, unit_vectors
 from semviz_core.common.jit import compiled
 from semviz_core.localization.correspondences.candidate_pairs import (
     PRIOR_LENGTH,
@@ -259,7 +259,7 @@ class Matcher:
     def _inputs(self, place: FloatArray, down: FloatArray, element_class: IntArray) -> Float32:
         parts = [place]
         if self.model.lines:
-            parts.append(_unit(down))
+            parts.append(unit_vectors(down))
         if self.model.semantics:
             parts.append(np.eye(len(self.classes))[element_class])
         return np.concatenate(parts, axis=1).astype(np.float32)
@@ -267,7 +267,7 @@ class Matcher:
     def _features(self, stream: str, inputs: Float32) -> Float32:
         """Return unit features (k, CHANNELS)."""
         tensors, k = self.weights.tensors, self.model.neighbours
-        return _unit(graph_features(tensors, stream, inputs, k)).astype(np.float32)
+        return unit_vectors(graph_features(tensors, stream, inputs, k))
 
 
 def load_matcher(name: str, path: Path | None, classes: ClassSet) -> Matcher:
@@ -300,12 +300,6 @@ def _smallest() -> Sample:
         mapped_class=class_id, mapped_known=known, road=np.zeros(3),
         prior=np.zeros(PRIOR_LENGTH), origin_m=np.zeros(3),
     )  # fmt: skip
-
-
-def _unit(vectors: FloatArray | Float32) -> FloatArray:
-    """Return unit vectors; zeros stay zeros."""
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.maximum(length, 1e-12))
 
 
 def split_lines(sample: Sample) -> Sample:

@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from semviz_core.base.classes import DEFAULT_CLASSES, ClassSet
-from semviz_core.common.arrays import BoolArray, FloatArray
+from semviz_core.common.arrays import BoolArray, FloatArray, unit_vectors
 from semviz_core.common.jit import in_order
 from semviz_core.localization.correspondences.candidate_pairs import Sample
 from semviz_core.localization.matched.p3p_ransac import SAMPLE, Points, most_inliers
@@ -49,7 +49,8 @@ def start_poses(probability: Tensor, batch: Batch, seed: int) -> StartPoses:
     b = len(batch)
     starts = StartPoses(np.tile(np.eye(3), (b, 1, 1)), np.zeros((b, 3)), np.zeros(b, dtype=bool))
     P = probability.detach().double().cpu().numpy()
-    rays = _unit(np.stack([_as_array(batch.ray), _as_array(batch.bottom_ray)]))
+    # normalized again, since float32 has six digits: 0.003 rad are 4e-6 of a cosine
+    rays = unit_vectors(np.stack([_as_array(batch.ray), _as_array(batch.bottom_ray)]))
     points = np.stack([_as_array(batch.point_m), _as_array(batch.bottom_m)])
     seen_known, mapped_known = batch.seen_known.cpu().numpy(), batch.mapped_known.cpu().numpy()
     counts = batch.seen.sum(dim=1).tolist()
@@ -73,11 +74,6 @@ def start_poses(probability: Tensor, batch: Batch, seed: int) -> StartPoses:
 def _as_array(tensor: Tensor) -> FloatArray:
     array: FloatArray = tensor.detach().double().cpu().numpy()
     return array
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    """Normalize again, since float32 has six digits: 0.003 rad are 4e-6 of a cosine."""
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 MOST_SHIFT_M = 20.0
@@ -183,7 +179,9 @@ def _pairs(batch: Batch) -> tuple[Tensor, Tensor]:
 def _sums(batch: Batch) -> weighted_pnpl.Weighted:
     """Return the terms of eq. 7 without weights."""
     ray, bottom_ray, point_m, bottom_m = _ends(batch)
-    return weighted_pnpl.weighted_sums(_unit(ray), _unit(bottom_ray), point_m, bottom_m)
+    return weighted_pnpl.weighted_sums(
+        unit_vectors(ray), unit_vectors(bottom_ray), point_m, bottom_m
+    )
 
 
 def _ends(batch: Batch) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

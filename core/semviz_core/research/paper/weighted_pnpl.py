@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
+from semviz_core.common.arrays import BoolArray, FloatArray, IntArray, unit_vectors
 from semviz_core.common.jit import compiled
 from semviz_core.common.linalg import cholesky, rotate_left, solve_cholesky
 
@@ -346,13 +346,7 @@ def weighted_sums(
         ray=ray,
         point_m=point_m,
         point_weight=no_weight,
-        normal=_unit(np.cross(ray, bottom_ray)),
-        line_point_m=point_m + _unit(bottom_m - point_m),
+        normal=unit_vectors(np.cross(ray, bottom_ray)),
+        line_point_m=point_m + unit_vectors(bottom_m - point_m),
         line_weight=no_weight,
     )
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    """Return unit vectors; zeros stay zeros."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.maximum(length, 1e-9))

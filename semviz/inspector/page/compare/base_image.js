@@ -4,10 +4,10 @@
 
 import { Surface } from "/static/canvas.js";
 import { byId } from "/static/dom.js";
-import { pickAt } from "../image.js";
-import { drawPhoto, drawModel } from "../image_drawing.js";
-import { ImageModel } from "../image_model.js";
-import { ImageCache } from "../image_cache.js";
+import { pickAt } from "../image/image.js";
+import { drawPhoto, drawModel } from "../image/image_drawing.js";
+import { ImageModel } from "../image/image_model.js";
+import { ImageCache } from "../image/image_cache.js";
 
 /** @typedef {import("/static/protocol").inspector.BaseFrameEvent} BaseFrameEvent */
 /** @typedef {import("/static/protocol").inspector.BaseFrameView} BaseFrameView */

@@ -3,8 +3,8 @@
 
 import { cssColor } from "/static/canvas.js";
 import { byId, el } from "/static/dom.js";
-import { TimelineCanvas } from "../frame_canvas.js";
-import { TimelineAxes, drawCursor, drawFrameNumbers, drawScale } from "../timeline_drawing.js";
+import { TimelineCanvas } from "../image/frame_canvas.js";
+import { TimelineAxes, drawCursor, drawFrameNumbers, drawScale } from "../timeline/timeline_drawing.js";
 import { drawChange } from "./marks.js";
 
 /** @typedef {import("/static/protocol").inspector.ComparedFrame} ComparedFrame */

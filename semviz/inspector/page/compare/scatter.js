@@ -3,7 +3,7 @@
 
 import { pointerAt } from "/static/canvas.js";
 import { byId, el } from "/static/dom.js";
-import { FrameCanvas } from "../frame_canvas.js";
+import { FrameCanvas } from "../image/frame_canvas.js";
 import { changeMark } from "./marks.js";
 import { Scatter, drawScatter } from "./scatter_drawing.js";
 

@@ -3,7 +3,7 @@
 
 import { byId, el, fill } from "/static/dom.js";
 import { strokeCased, traceRing } from "/static/glyphs.js";
-import { ImageCache } from "../image_cache.js";
+import { ImageCache } from "../image/image_cache.js";
 import { changeMark } from "./change_marks.js";
 import { KINDS, decided, shortDate } from "./model.js";
 

@@ -25,18 +25,19 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, float_array
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import check_file, first_line, read_limited, shown
-from semviz_core.datasets.own_drive import image_files, recording
+from semviz_core.datasets.own_drive import recording
 from semviz_core.datasets.own_drive.adapters import kitti, nuscenes, rosbag
-from semviz_core.datasets.own_drive.calibration import CalibrationFile
-from semviz_core.datasets.own_drive.calibration_files import read_calibration
-from semviz_core.datasets.own_drive.conventions import (
+from semviz_core.datasets.own_drive.cameras.calibration import CalibrationFile
+from semviz_core.datasets.own_drive.cameras.calibration_files import read_calibration
+from semviz_core.datasets.own_drive.cameras.lens import OriginalCamera
+from semviz_core.datasets.own_drive.images import image_files
+from semviz_core.datasets.own_drive.poses.conventions import (
     NAMED_EXTRINSICS,
     RecordedPoses,
     matrices_of,
     rotations_of,
 )
-from semviz_core.datasets.own_drive.lens import OriginalCamera
-from semviz_core.datasets.own_drive.pose_files import read_poses
+from semviz_core.datasets.own_drive.poses.pose_files import read_poses
 from semviz_core.datasets.trajectory import parsed_numbers, read_text
 
 _MOST_BYTES = 2**22

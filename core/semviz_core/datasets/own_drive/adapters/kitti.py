@@ -15,11 +15,11 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import shown
-from semviz_core.datasets.own_drive import image_files
-from semviz_core.datasets.own_drive.calibration import CalibrationFile
-from semviz_core.datasets.own_drive.conventions import RecordedPoses, body_axes, local_poses
-from semviz_core.datasets.own_drive.lens import OriginalCamera
-from semviz_core.datasets.own_drive.pose_files import read_poses
+from semviz_core.datasets.own_drive.cameras.calibration import CalibrationFile
+from semviz_core.datasets.own_drive.cameras.lens import OriginalCamera
+from semviz_core.datasets.own_drive.images import image_files
+from semviz_core.datasets.own_drive.poses.conventions import RecordedPoses, body_axes, local_poses
+from semviz_core.datasets.own_drive.poses.pose_files import read_poses
 from semviz_core.datasets.own_drive.recording import DriveFiles, Recording, chosen_cameras
 from semviz_core.datasets.trajectory import parsed_numbers, read_text
 

@@ -15,10 +15,10 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, float_array
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import first_line, parsed_json, read_limited, shown
-from semviz_core.datasets.own_drive import image_files
-from semviz_core.datasets.own_drive.calibration import CalibrationFile
-from semviz_core.datasets.own_drive.conventions import RecordedPoses, rotations_of
-from semviz_core.datasets.own_drive.lens import LensModel, OriginalCamera
+from semviz_core.datasets.own_drive.cameras.calibration import CalibrationFile
+from semviz_core.datasets.own_drive.cameras.lens import LensModel, OriginalCamera
+from semviz_core.datasets.own_drive.images import image_files
+from semviz_core.datasets.own_drive.poses.conventions import RecordedPoses, rotations_of
 from semviz_core.datasets.own_drive.recording import DriveFiles, Recording, chosen_cameras
 
 _MOST_BYTES = 2**30

@@ -12,8 +12,12 @@ from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.common.limits import check_pixels, shown
-from semviz_core.datasets.own_drive.color_orders import BAYER_PATTERNS, demosaiced
-from semviz_core.datasets.own_drive.conventions import RecordedPoses, local_poses, rotations_of
+from semviz_core.datasets.own_drive.images.color_orders import BAYER_PATTERNS, demosaiced
+from semviz_core.datasets.own_drive.poses.conventions import (
+    RecordedPoses,
+    local_poses,
+    rotations_of,
+)
 
 _MOST_APART_NS = 50_000_000
 """Between a fix and the orientation used with it."""

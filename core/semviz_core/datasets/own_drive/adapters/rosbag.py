@@ -43,13 +43,13 @@ from semviz_core.datasets.own_drive.adapters.ros_messages import (
     odometry,
     stamp_ns,
 )
-from semviz_core.datasets.own_drive.calibration import CalibrationFile
-from semviz_core.datasets.own_drive.calibration_files import (
+from semviz_core.datasets.own_drive.cameras.calibration import CalibrationFile
+from semviz_core.datasets.own_drive.cameras.calibration_files import (
     camera_info,
     stereo_calibration,
 )
-from semviz_core.datasets.own_drive.conventions import RecordedPoses
-from semviz_core.datasets.own_drive.image_files import ImageNames, ImageTimes, pairs_by_time
+from semviz_core.datasets.own_drive.images.image_files import ImageNames, ImageTimes, pairs_by_time
+from semviz_core.datasets.own_drive.poses.conventions import RecordedPoses
 from semviz_core.datasets.own_drive.recording import DriveFiles, Recording, chosen_cameras
 from semviz_core.datasets.trajectory import MOST_LINES
 

@@ -1,0 +1,1 @@
+"""Cameras of a drive: calibration files, lenses, and models that hold both cameras and poses."""

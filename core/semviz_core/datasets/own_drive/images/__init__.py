@@ -1,0 +1,1 @@
+"""Images of a drive: files, folders and recordings, colours, and rectification."""

@@ -1,0 +1,1 @@
+"""Poses of a drive: files and tables, and what their numbers mean."""

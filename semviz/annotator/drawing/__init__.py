@@ -1,0 +1,1 @@
+"""What a person draws: guides, edges to snap to, and the element that it belongs to."""

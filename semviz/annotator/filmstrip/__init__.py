@@ -1,0 +1,1 @@
+"""The view "Filmstrip": proposals in the frames beside that on screen."""

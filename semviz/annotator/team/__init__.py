@@ -1,0 +1,1 @@
+"""The view "Team": who has what, what waits for a reviewer, and frames labelled blind."""

@@ -1,0 +1,1 @@
+"""The view "Tracks": every element in every frame, and edits of whole tracks."""

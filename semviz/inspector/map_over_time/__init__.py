@@ -1,0 +1,1 @@
+"""The view "Map over time": changes of a map that the runs of several passes show."""

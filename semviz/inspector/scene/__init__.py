@@ -1,0 +1,1 @@
+"""The 3D pane: map, cameras and what-if results."""

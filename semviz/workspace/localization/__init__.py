@@ -1,0 +1,1 @@
+"""Localize the frames of a workspace, and record runs."""

@@ -1,0 +1,1 @@
+"""Maps of a workspace: their review, decisions on changes, and the backdrop."""

@@ -1,0 +1,1 @@
+"""Wrong poses: what images and labels say about them, and what people chose."""
