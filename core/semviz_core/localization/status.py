@@ -20,9 +20,10 @@ from semviz_core.localization.crowding import chance_explains
 from semviz_core.localization.refinement import NEEDED_PAIRS, PoseEstimate
 from semviz_core.localization.search import Modes, pose_distances
 
-AMBIGUOUS_NATS, SCALE_NATS = 14.0, 6.0
-"""Another mode within the first of the best makes the pose ambiguous; within as much more as the
-second for each factor of e by which the stated sigma of the detections is too small."""
+AMBIGUOUS_NATS, NEARLY_ALL_NATS, SCALE_NATS = 14.0, 9.0, 6.0
+"""Another mode within the first of the best makes the pose ambiguous, within the second if at most
+one observed element does not fit; within as much more as the third for each factor of e by which
+the stated sigma of the detections is too small."""
 SURE_PROBABILITY = 0.95
 """A pose with a lower verifier probability is ambiguous; replaces AMBIGUOUS_NATS."""
 LIKELY_PROBABILITY = 0.5
@@ -97,7 +98,7 @@ def _decided(
         return StatusDecision("cannot", f"Only {of_all} fit the best pose; {needed} needed.")
     sigma_m = float(np.sqrt(np.trace(estimate.covariance[:3, :3])))
     doubts = (
-        _ambiguity(modes, estimate.T_camera_map)
+        _ambiguity(modes, estimate.T_camera_map, needed_gap_nats(fitting, len(observed)))
         if probability is None
         else _low_probability(probability),
         *_contradictions(estimate.T_camera_map, prior),
@@ -130,8 +131,14 @@ def explicable_elements(observed: Elements2D, submap: Elements3D) -> int:
     return int(np.minimum(seen, np.bincount(submap.class_id, minlength=length)).sum())
 
 
-def _ambiguity(modes: Modes, T_camera_map: Pose) -> str:
-    needed_nats = AMBIGUOUS_NATS + SCALE_NATS * float(np.log(modes.sigma_scale))
+def needed_gap_nats(fitting: int, observed: int) -> float:
+    """Return by how many nats a pose has to be better than any other, if so many of the observed
+    elements fit it: chance seldom fits nearly all."""
+    return NEARLY_ALL_NATS if fitting >= observed - 1 else AMBIGUOUS_NATS
+
+
+def _ambiguity(modes: Modes, T_camera_map: Pose, gap_nats: float) -> str:
+    needed_nats = gap_nats + SCALE_NATS * float(np.log(modes.sigma_scale))
     rivals = int((modes.score[0] - modes.score < needed_nats).sum())
     if rivals < 2:
         return ""
