@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from problem_frames import NOISY, frames, signs_on_one_ray
 
-from semviz_core.base.classes import POLE, RECTANGULAR
+from semviz_core.base.classes import POLE, RECTANGULAR, ROUNDED
 from semviz_core.base.detector_model import DetectorModel
 from semviz_core.base.elements import Elements2D, Elements3D, joined
 from semviz_core.base.frame import Prior
 from semviz_core.base.localization import Localization
 from semviz_core.base.pose import Pose
 from semviz_core.common.errors import SemvizError
+from semviz_core.localization.crowding import pairs_by_chance
 from semviz_core.localization.localizer import Localizer
 from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.residuals import problem_residuals
-from semviz_core.localization.status import pairs_by_chance
 from semviz_core.metrics.pose_errors import pose_error
 from semviz_core.research.evaluation.problems import (
     CAMERA,
@@ -249,6 +249,25 @@ def test_a_map_in_which_chance_fits_is_never_sure() -> None:
         assert pairs_by_chance(few, problem.T_camera_map) == 0.0
         assert pairs_by_chance(many, problem.T_camera_map) > 0.15 * len(problem.observed)
         assert localized(dense).status != "ok"
+
+
+def test_where_chance_fits_sigmas_are_not_said_to_be_too_small() -> None:
+    for problem in frames(6):
+        assert "too small" not in localized(crowded(problem, 5000)).reason
+
+
+def test_where_all_elements_fit_a_smaller_gap_to_the_next_pose_is_enough() -> None:
+    problem = make_problem(2, Difficulty(elements=4, false_detections=0.0))
+    found = localized(problem)
+    assert found.search is not None
+    assert 9.0 < found.search.score[0] - found.search.score[1] < 14.0
+    assert found.status == "ok"
+    rng = np.random.default_rng(0)
+    anchor = np.column_stack([rng.uniform(20.0, 1220.0, 2), [370.0, 372.0]])  # below the road
+    false = Elements2D.from_ends(anchor, np.full((2, 2), np.nan), [ROUNDED, ROUNDED])
+    found = localized(replace(problem, observed=joined(problem.observed, false)))
+    assert found.status == "ambiguous"
+    assert found.reason.startswith("Two poses fit")
 
 
 def test_a_prior_far_off_is_never_confidently_wrong() -> None:

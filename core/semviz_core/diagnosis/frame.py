@@ -31,7 +31,7 @@ from semviz_core.localization.localizer import NEEDED_ELEMENTS
 from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.residuals import problem_residuals
 from semviz_core.localization.search import APART_M, APART_RAD, BASIN_M, mode_near
-from semviz_core.localization.status import AMBIGUOUS_NATS
+from semviz_core.localization.status import needed_gap_nats
 from semviz_core.localization.upright import assumed_upright
 
 MATRIX_FROM_POSES = ("search", "track")
@@ -238,7 +238,9 @@ def check_observability(case: FrameReference) -> Fault | None:
         return None
     rivals = 0
     if result.search is not None and len(result.search.score):
-        rivals = int((result.search.score[0] - result.search.score < AMBIGUOUS_NATS).sum())
+        fitting = 0 if result.refinement is None else int(result.refinement.inlier.sum())
+        nats = needed_gap_nats(fitting, len(result.observed))
+        rivals = int((result.search.score[0] - result.search.score < nats).sum())
     if rivals > 1:
         gap = float(result.search.score[0] - result.search.score[1]) if result.search else 0.0
         sentence = f"{rivals} poses explain the image about equally well."

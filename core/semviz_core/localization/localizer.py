@@ -31,6 +31,7 @@ from semviz_core.localization.correspondences.matcher import (
     PairMatcher,
     load_pair_matcher,
 )
+from semviz_core.localization.crowding import pairs_by_chance
 from semviz_core.localization.heading_votes import DEFAULT_EFFORT, OF_COUPLES, WIDE, Effort
 from semviz_core.localization.match_probabilities import posterior_match
 from semviz_core.localization.problem import PoseProblem
@@ -47,7 +48,6 @@ from semviz_core.localization.status import (
     StatusDecision,
     decide_status,
     is_likely,
-    pairs_by_chance,
 )
 from semviz_core.localization.upright import assumed_upright
 

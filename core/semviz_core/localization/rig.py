@@ -22,6 +22,7 @@ from semviz_core.common.jit import Stopwatch
 from semviz_core.common.linalg import inverse
 from semviz_core.localization.association import all_gains
 from semviz_core.localization.camera_views import STANDING, BodyMotion, CameraView, prior_of_camera
+from semviz_core.localization.crowding import pairs_by_chance
 from semviz_core.localization.heading_votes import DEFAULT_EFFORT
 from semviz_core.localization.least_squares import fit
 from semviz_core.localization.localizer import alternatives_of, nothing_fits, too_few
@@ -48,7 +49,6 @@ from semviz_core.localization.status import (
     StatusDecision,
     decide_status,
     explicable_elements,
-    pairs_by_chance,
 )
 from semviz_core.localization.upright import assumed_upright
 

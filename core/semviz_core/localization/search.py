@@ -17,6 +17,7 @@ from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.common.jit import compiled, compiled_leaf
 from semviz_core.common.linalg import inverse
 from semviz_core.localization.association import all_gains, associate, log_likelihood
+from semviz_core.localization.crowding import chance_explains, pairs_by_chance
 from semviz_core.localization.heading_votes import (
     DEFAULT_EFFORT,
     Effort,
@@ -141,12 +142,22 @@ def search(
         parts.append(_fitted_candidates(problem, view, record, proposal.pose, view_effort))
     candidates = Candidates(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
     modes = Modes(evaluated, passed, *_final_modes(problem, record, candidates, effort))
+    if _is_explained_by_chance(problem, modes):  # as larger sigmas would be
+        return modes
     scale = likely_sigma_scale(problem, record, modes.rotation, modes.translation, modes.score)
     if scale == 1.0:
         return modes
     candidates = Candidates(modes.rotation, modes.translation, modes.score)
     fitted = _final_modes(with_sigma_scale(problem, scale), record, candidates, effort)
     return Modes(evaluated, passed, *fitted, scale)
+
+
+def _is_explained_by_chance(problem: PoseProblem, modes: Modes) -> bool:
+    """Return whether the best mode, if any, may fit by chance."""
+    if not len(modes.score):
+        return False
+    best = Pose(modes.rotation[0], modes.translation[0])
+    return chance_explains(pairs_by_chance(problem, best), len(modes.pairs(0)))
 
 
 def _effort_per_view(effort: Effort, views: int) -> Effort:

@@ -16,15 +16,14 @@ from semviz_core.base.frame import Prior
 from semviz_core.base.localization import Refinement, Status
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray
-from semviz_core.localization.association import associate
-from semviz_core.localization.problem import PoseProblem
+from semviz_core.localization.crowding import chance_explains
 from semviz_core.localization.refinement import NEEDED_PAIRS, PoseEstimate
-from semviz_core.localization.residuals import EXACT_POSE
 from semviz_core.localization.search import Modes, pose_distances
 
-AMBIGUOUS_NATS, SCALE_NATS = 14.0, 6.0
-"""Another mode within the first of the best makes the pose ambiguous; within as much more as the
-second for each factor of e by which the stated sigma of the detections is too small."""
+AMBIGUOUS_NATS, NEARLY_ALL_NATS, SCALE_NATS = 14.0, 9.0, 6.0
+"""Another mode within the first of the best makes the pose ambiguous, within the second if at most
+one observed element does not fit; within as much more as the third for each factor of e by which
+the stated sigma of the detections is too small."""
 SURE_PROBABILITY = 0.95
 """A pose with a lower verifier probability is ambiguous; replaces AMBIGUOUS_NATS."""
 LIKELY_PROBABILITY = 0.5
@@ -40,11 +39,6 @@ LEAST_SHARE, PLENTY = 0.5, 6
 position explains a few by chance, seldom half. Of the rest, most are false in clutter."""
 SURE_SIGMA_M = 0.5
 """A pose whose position is less certain than this is ambiguous."""
-CROWDED_MAP = 1000
-"""In maps with fewer elements, chance fits too few to matter."""
-CHANCE_SHARE = 0.15
-"""A pose is ambiguous if chance fits more than this share of its pairs (right ones: up to 0.11)."""
-_TURNS = 8
 CONTRADICTING_SIGMAS = 4.0
 """A pose further than this from a component of the prior contradicts it."""
 
@@ -104,7 +98,7 @@ def _decided(
         return StatusDecision("cannot", f"Only {of_all} fit the best pose; {needed} needed.")
     sigma_m = float(np.sqrt(np.trace(estimate.covariance[:3, :3])))
     doubts = (
-        _ambiguity(modes, estimate.T_camera_map)
+        _ambiguity(modes, estimate.T_camera_map, needed_gap_nats(fitting, len(observed)))
         if probability is None
         else _low_probability(probability),
         *_contradictions(estimate.T_camera_map, prior),
@@ -116,21 +110,6 @@ def _decided(
     for doubt in filter(None, doubts):
         return StatusDecision("ambiguous", doubt)
     return StatusDecision("ok", f"{of_all} fit, {sigma_m:.2f} m{_margin(modes, probability)}.")
-
-
-def pairs_by_chance(problem: PoseProblem, T_camera_map: Pose) -> float:
-    """Return how many observed elements fit on average if the camera is turned away; 0 in a map
-    with few elements, where it is not counted."""
-    if len(problem.mapped) < CROWDED_MAP:
-        return 0.0
-    center = T_camera_map.inverse().translation
-    fitting = []
-    for turn in 2.0 * np.pi * np.arange(1, _TURNS + 1) / (_TURNS + 1):
-        c, s = np.cos(turn), np.sin(turn)
-        R = T_camera_map.rotation @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        match, _ = associate(problem, R, -R @ center, EXACT_POSE)
-        fitting.append((match >= 0).sum())
-    return float(np.mean(fitting))
 
 
 def is_likely(probability: FloatArray | None) -> bool:
@@ -152,8 +131,14 @@ def explicable_elements(observed: Elements2D, submap: Elements3D) -> int:
     return int(np.minimum(seen, np.bincount(submap.class_id, minlength=length)).sum())
 
 
-def _ambiguity(modes: Modes, T_camera_map: Pose) -> str:
-    needed_nats = AMBIGUOUS_NATS + SCALE_NATS * float(np.log(modes.sigma_scale))
+def needed_gap_nats(fitting: int, observed: int) -> float:
+    """Return by how many nats a pose has to be better than any other, if so many of the observed
+    elements fit it: chance seldom fits nearly all."""
+    return NEARLY_ALL_NATS if fitting >= observed - 1 else AMBIGUOUS_NATS
+
+
+def _ambiguity(modes: Modes, T_camera_map: Pose, gap_nats: float) -> str:
+    needed_nats = gap_nats + SCALE_NATS * float(np.log(modes.sigma_scale))
     rivals = int((modes.score[0] - modes.score < needed_nats).sum())
     if rivals < 2:
         return ""
@@ -202,7 +187,7 @@ def _few_pairs(fitting: int, needed: int, of_all: str) -> str:
 
 
 def _crowded(fitting: int, by_chance: float) -> str:
-    if by_chance <= CHANCE_SHARE * fitting:
+    if not chance_explains(by_chance, fitting):
         return ""
     return (
         f"The map is so dense that {by_chance:.1f} elements fit on average wherever the camera "
