@@ -87,8 +87,7 @@ def test_one_click_saves_the_pole_that_is_shown_and_one_key_its_match(
     assert near(row.end_px, pole_px[1])
     assert driver.page.evaluate("semviz.state.ghost") is None
     driver.page.wait_for_function("() => semviz.state.currentProposal?.is_confident")
-    driver.page.keyboard.press("Space")
-    driver.settle()
+    driver.press_and_save("Space")
     left, right = served.observations
     assert {left.side, right.side} == {"left", "right"}
     assert left.element_id == right.element_id

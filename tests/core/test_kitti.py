@@ -165,7 +165,7 @@ WRONG_FOLDERS: list[tuple[str, Callable[[Path], object], str]] = [
     ("sequence", lambda r: (r / SEQUENCE).rename(r / "sequences" / "08"), "07.*there are 08"),
     ("no sequences", lambda r: shutil.rmtree(r / "sequences"), "holds no sequences"),
     ("calib", lambda r: (r / SEQUENCE / "calib.txt").unlink(), r"calib\.txt: no such file"),
-    ("calib binary", lambda r: (r / SEQUENCE / "calib.txt").write_bytes(b"\xff"), "not a readable"),
+    ("calib binary", lambda r: (r / SEQUENCE / "calib.txt").write_bytes(b"\xff"), "not a text"),
     ("camera", lambda r: edit(r / SEQUENCE / "calib.txt", "P3:", "Q3:"), r"no camera 3 .*P0, P1"),
     ("calib word", lambda r: edit(r / SEQUENCE / "calib.txt", "P2:", "P2: x"), r"P2: .*'x'"),
     ("calib length", lambda r: edit(r / SEQUENCE / "calib.txt", "P2:", "P2: 1"), "13 numbers"),
