@@ -144,6 +144,7 @@ class LabelsImportCommand:
 
         workspace = Workspace.open(self.workspace)
         class_map = parse_class_map(self.class_map)
+        frames = {frame.index for frame in workspace.source.frames}
         with workspace.open_labels() as store:
             if self.format == "log" or (self.format is None and _is_log(self.file)):
                 from semviz_annotation.storage.backup import import_operations, tells_its_length
@@ -153,7 +154,7 @@ class LabelsImportCommand:
                         "--side, --class-map and --pixels do not apply to a log of operations; "
                         "leave them out"
                     )
-                import_operations(self.file, store)
+                import_operations(self.file, store, frames)
                 note = "" if tells_its_length(self.file) else UNCHECKED
                 _print_operations(self.workspace, store.last_operation, self.json, note)
                 return 0
@@ -162,7 +163,7 @@ class LabelsImportCommand:
                 store,
                 self.author or login_name(),
                 self.format,
-                frames={frame.index for frame in workspace.source.frames},
+                frames=frames,
                 side=self.side,
                 class_map=class_map,
                 recorded=NamedImages.of(workspace.source),

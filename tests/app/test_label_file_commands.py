@@ -62,3 +62,18 @@ def test_what_a_backup_holds_comes_back(workspace, tmp_path, capsys):
     assert "choose another name" in err
     status, _, err = run(capsys, "restore", workspace.path, workspace.path / "semviz.toml")
     assert (status, err) == (2, f"semviz: {workspace.path / 'semviz.toml'}: not a label file\n")
+
+
+def test_a_log_of_another_sequence_is_refused_before_anything_is_written(
+    workspace, tmp_path, capsys
+):
+    assert run(capsys, "export", workspace.path, tmp_path / "log.jsonl")[0] == 0
+    other = Workspace.create_street(tmp_path / "other", seed=1, frames=range(1))
+    assert run(capsys, "import", other.path, tmp_path / "log.jsonl") == (
+        2,
+        "",
+        f"semviz: {tmp_path / 'log.jsonl'}: labels of another sequence: 1 of its labelled frames "
+        "are not in this one, the first is 1; nothing imported\n",
+    )
+    with other.open_labels() as store:
+        assert store.last_operation == 0
