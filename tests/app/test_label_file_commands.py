@@ -77,3 +77,15 @@ def test_a_log_of_another_sequence_is_refused_before_anything_is_written(
     )
     with other.open_labels() as store:
         assert store.last_operation == 0
+
+
+def test_an_unknown_ending_is_refused_with_the_known_ones(workspace, tmp_path, capsys):
+    file = tmp_path / "labels.txt"
+    assert run(capsys, "export", workspace.path, file) == (
+        2,
+        "",
+        f"semviz: {file}: no format has this ending; take .xml, .json, .csv, .jsonl, or say which "
+        "with --format\n",
+    )
+    assert not file.exists()
+    assert run(capsys, "export", workspace.path, file, "--format", "log")[0] == 0
