@@ -9,6 +9,7 @@ from command_line import call
 from random_edits import pole
 
 from semviz.workspace.workspace import Workspace
+from semviz_core.common.errors import SemvizError
 
 
 @pytest.fixture
@@ -89,3 +90,16 @@ def test_an_unknown_ending_is_refused_with_the_known_ones(workspace, tmp_path, c
     )
     assert not file.exists()
     assert run(capsys, "export", workspace.path, file, "--format", "log")[0] == 0
+
+
+def test_classes_in_a_folder_that_cannot_be_written_are_said_in_plain_words(workspace, monkeypatch):
+    """Tests may run as a user whom no mode stops, so SQLite's own error stands for the folder."""
+    refused = sqlite3.OperationalError("unable to open database file")
+    refused.sqlite_errorcode = sqlite3.SQLITE_CANTOPEN
+
+    def connect(*_: object, **__: object) -> None:
+        raise refused
+
+    monkeypatch.setattr(sqlite3, "connect", connect)
+    with pytest.raises(SemvizError, match=r"labels\.db or its folder cannot be written; make it"):
+        _ = workspace.classes
