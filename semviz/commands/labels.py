@@ -39,7 +39,12 @@ _MARKS = {
     "coco": (b'{"info": {"description": "poles and traffic signs", "version": "1.0"}',),
 }
 """What the start of an export contains, by format."""
-_BY_ENDING: Mapping[str, ExportFormat] = {".xml": "cvat", ".json": "coco", ".csv": "csv"}
+_BY_ENDING: Mapping[str, ExportFormat] = {
+    ".xml": "cvat",
+    ".json": "coco",
+    ".csv": "csv",
+    ".jsonl": "log",
+}
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,7 @@ class LabelsExportCommand:
     """File to write; for labelme a new folder."""
     format: ExportFormat = None
     """Default by ending: .xml cvat, .json coco, .csv a table that also has the pixels of the
-    recorded images, others the log with one operation per line."""
+    recorded images, .jsonl the log with one operation per line."""
     side: OptionalSide = None
     """Images of one side only; default for cvat-video: left."""
     start_frame: parsing.OptionalInt = None
@@ -70,8 +75,13 @@ class LabelsExportCommand:
 
         workspace = parsing.open_workspace(self.workspace)
         format_ = self.format or _BY_ENDING.get(self.file.suffix.lower())
+        if format_ is None:
+            raise SemvizError(
+                f"{self.file}: no format has this ending; take {', '.join(_BY_ENDING)}, or say "
+                "which with --format"
+            )
         self._check_file(format_)
-        if format_ is None or format_ == "log":
+        if format_ == "log":
             return self._export_log(workspace)
         source = workspace.source
         frames = {frame.index for frame in source.frames}
@@ -83,7 +93,7 @@ class LabelsExportCommand:
         print(json.dumps(report.as_dict()) if self.json else report.as_text())
         return 0
 
-    def _check_file(self, format_: ExportFormat) -> None:
+    def _check_file(self, format_: str) -> None:
         from semviz.workspace import outputs
 
         if self.start_frame is not None and format_ != "cvat-video":
@@ -93,7 +103,7 @@ class LabelsExportCommand:
         if format_ == "labelme":
             outputs.check_new_folder(self.file, [self.workspace])
             return
-        ours = outputs.contains(*_MARKS[format_ or "log"])
+        ours = outputs.contains(*_MARKS[format_])
         outputs.check_outputs(self.file, ours, force=self.force, reads=[self.workspace])
 
     def _export_log(self, workspace: "Workspace") -> int:
@@ -144,6 +154,7 @@ class LabelsImportCommand:
 
         workspace = Workspace.open(self.workspace)
         class_map = parse_class_map(self.class_map)
+        frames = {frame.index for frame in workspace.source.frames}
         with workspace.open_labels() as store:
             if self.format == "log" or (self.format is None and _is_log(self.file)):
                 from semviz_annotation.storage.backup import import_operations, tells_its_length
@@ -153,7 +164,7 @@ class LabelsImportCommand:
                         "--side, --class-map and --pixels do not apply to a log of operations; "
                         "leave them out"
                     )
-                import_operations(self.file, store)
+                import_operations(self.file, store, frames)
                 note = "" if tells_its_length(self.file) else UNCHECKED
                 _print_operations(self.workspace, store.last_operation, self.json, note)
                 return 0
@@ -162,7 +173,7 @@ class LabelsImportCommand:
                 store,
                 self.author or login_name(),
                 self.format,
-                frames={frame.index for frame in workspace.source.frames},
+                frames=frames,
                 side=self.side,
                 class_map=class_map,
                 recorded=NamedImages.of(workspace.source),

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 class RelinkCommand:
     """Say where the images of a workspace are now, after they or it were moved.
 
-    Nothing changes unless all images are there, with the calibration of the labels. Example:
+    Nothing changes unless all images are there, with the calibration and size of the labels'; what
+    they show is not compared. Example:
     'semviz relink town --images /disk/left --right /disk/right'."""
 
     workspace: Positional[Path]

@@ -343,7 +343,10 @@ def _moved(source: Source, relative: Mapping[str, str]) -> Source:
 
 
 def _check_images(workspace: "Workspace") -> None:
-    """Raise SemvizError if the source does not open, or the image of a frame is missing."""
+    """Raise SemvizError if the source does not open, the image of a frame is missing, or the first
+    frame's have another size than the calibration's.
+
+    Whether images of the right names and size are the same ones is not checked."""
     from semviz_core.base.frame import FileDataset
 
     source = workspace.source
@@ -362,6 +365,14 @@ def _check_images(workspace: "Workspace") -> None:
             f"the images there are others: of {len(needed)} frames {len(missing)} are missing, the "
             f"first is {missing[0]}; nothing was changed"
         )
+    for side in sides if source.frames else ():
+        camera = source.rig.left if side == "left" else source.rig.right or source.rig.left
+        height, width, _ = source.image(source.frames[0].index, side).shape
+        if (width, height) != (camera.width, camera.height):
+            raise SemvizError(
+                f"the {side} images there have {width}x{height} pixels, those of the workspace "
+                f"{camera.width}x{camera.height}; nothing was changed"
+            )
 
 
 def _rewrite(file: Path, values: Mapping[str, str]) -> None:

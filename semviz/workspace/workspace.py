@@ -226,7 +226,7 @@ class Workspace:
 
     @property
     def classes(self) -> ClassSet:
-        from semviz_annotation.storage.declarations import read_classes
+        from semviz_annotation.storage.classes import read_classes
 
         return read_classes(self.labels_path)
 

@@ -299,7 +299,7 @@ def test_a_log_with_an_import_goes_into_a_new_workspace(
         store.redo("bea")
     assert semviz(capsys, "labels", "export", workspace, tmp_path / "a.jsonl")[0] == 0
     again = workspace.parent / "again"
-    Workspace.create_street(again, 7, frames=range(4))
+    Workspace.create_street(again, 7, frames=range(40))
     status, _, err = semviz(capsys, "labels", "import", again, tmp_path / "a.jsonl")
     assert (status, err) == (0, "")
     assert Workspace.open(again).read_labels() == before

@@ -185,6 +185,7 @@ def test_broken_xml(tmp_path: Path, text: str, words: str) -> None:
     ("old", "new", "words"),
     [
         ("anchor_x_m", "x", "no column 'anchor_x_m'; the header is"),
+        (",", ";", "no column 'class'; .*; columns are separated by ';', write ','"),
         ("pole", "tower", "line 2: class 'tower' is not known"),
         ("4.0,3.0,6.1", "4.0,nan,6.1", "line 2: 'nan' is not a number"),
         ("4.0,3.0,6.1", ",,", "no numbers in anchor_x_m"),

@@ -109,7 +109,15 @@ def test_relink_changes_the_places_and_nothing_else(
     other = tmp_path / "other"
     shutil.copytree(moved, other)
     (other / "sequences" / "05" / "image_3" / "000001.png").unlink()
-    for place, message in ((tmp_path / "none", "no such folder"), (other, "are missing")):
+    small = tmp_path / "small"
+    shutil.copytree(moved, small)
+    for image in (small / "sequences" / "05" / "image_3").iterdir():
+        assert cv2.imwrite(str(image), np.zeros((20, 28, 3), np.uint8))
+    for place, message in (
+        (tmp_path / "none", "no such folder"),
+        (other, "are missing"),
+        (small, "28x20"),
+    ):
         status, _, errors = call(capsys, "relink", elsewhere, "--root", place)
         assert status == 2
         assert message in errors

@@ -57,6 +57,22 @@ def healthy_drive(seed: int) -> tuple[tuple[Frame, ...], list[PointTracks], Imag
     return frames, tracks, motions_of(tracks, frames, stereo_rig())
 
 
+@cache
+def one_camera_drive(
+    seed: int, driven_m: tuple[float, ...] | None = None
+) -> tuple[tuple[Frame, ...], ImageMotions]:
+    rng, rig = np.random.default_rng(seed), mono_rig()
+    path = None if driven_m is None else np.array(driven_m)
+    frames = driven(COUNT if path is None else len(path), rng, path)
+    moving = 0.1 if path is None else 0.0
+    return frames, motions_of(tracks_of_drive(frames, rig, rng, moving=moving), frames, rig)
+
+
+def worst_m(truth: Sequence[Frame], frames: Sequence[Frame]) -> float:
+    first, second = DrivePoses.of(truth), DrivePoses.of(frames)
+    return float(np.linalg.norm(first.center_m - second.center_m, axis=1).max())
+
+
 def worst_deg(truth: Sequence[Frame], frames: Sequence[Frame]) -> float:
     angles = []
     for first, second in zip(truth, frames, strict=True):
@@ -241,7 +257,13 @@ def test_errors_of_poses_and_of_motions_are_told_apart(pose_mm: float, share: fl
     innovation -= np.diff(rng.normal(0.0, pose, (n + 1, 6)), axis=0)
     information, zeros = np.tile(np.diag(stated**-2.0), (n, 1, 1)), np.zeros(n)
     comparison = PoseComparison(
-        innovation, zeros, zeros == 0.0, np.sqrt(2.0) * pose, RigErrors.none(), information
+        innovation,
+        zeros,
+        zeros == 0.0,
+        np.sqrt(2.0) * pose,
+        RigErrors.none(),
+        information,
+        np.zeros((n, 3, 3)),
     )
     found = variance_components(comparison, np.arange(n) % 50 > 0)
     assert 0.5 < found.motion_share / min(share, 1.0) < 2.0
@@ -299,6 +321,39 @@ def test_one_camera_finds_turned_and_frozen_poses() -> None:
         plant, wanted = POSE_FAULTS[name]
         check = check_drive(plant(frames, np.random.default_rng(1)).frames, motions, rig)
         assert kinds(check) == list(wanted), name
+
+
+@pytest.mark.parametrize("offset", [(0.0, 3.5, 0.0), (3.0, 0.0, 0.0), (-3.0, 0.0, 0.0)])
+@pytest.mark.parametrize("rows", [range(15, 16), range(14, 20), range(25, COUNT)])
+def test_one_camera_finds_poses_metres_aside_by_the_speed_around_them(
+    rows: range, offset: tuple[float, float, float]
+) -> None:
+    """Images do not show the length of a step, and a wrong pose's own is no measure of it."""
+    frames, motions = one_camera_drive(2)
+    shifted = moved(
+        frames,
+        lambda row, pose: (
+            Pose(pose.rotation, pose.translation + np.array(offset)) if row in rows else pose
+        ),
+    )
+    check = check_drive(noisy(shifted, 0.01, 0.02, np.random.default_rng(4)), motions, mono_rig())
+    (fault,) = check.faults
+    assert fault.kind == "shifted"
+    assert abs(fault.first - rows[0]) <= 1
+    assert abs(fault.last - rows[-1]) <= 1
+    assert fault.shift_m == pytest.approx(np.linalg.norm(offset), abs=0.2)
+    assert worst_m(frames, refined_frames(check)) < 0.2
+
+
+@pytest.mark.parametrize("brake_mps2", [3.0, 9.0])
+def test_one_camera_takes_no_stop_and_no_start_for_a_fault(brake_mps2: float) -> None:
+    time_s = 0.1 * np.arange(60)
+    speed_mps = np.clip(10.0 - brake_mps2 * (time_s - 1.0), 0.0, 10.0)
+    speed_mps[40:] = np.minimum(4.0 * (time_s[40:] - 4.0), 10.0)
+    frames, motions = one_camera_drive(5, tuple((0.1 * np.cumsum(speed_mps)).tolist()))
+    for sigmas in ((0.0, 0.0), (0.01, 0.02)):
+        check = check_drive(noisy(frames, *sigmas, np.random.default_rng(1)), motions, mono_rig())
+        assert not check.faults, [fault.text for fault in check.faults]
 
 
 def test_frames_without_a_pose_stay_without() -> None:

@@ -80,7 +80,7 @@ def _imported(folder: Path) -> Iterator[tuple[str, Any]]:
     }
     for name, log in logs.items():
         (folder / f"{name}.jsonl").write_bytes(log)
-        call(folder, "new", name, "--simulate", 2, "--frames", "0:2")
+        call(folder, "new", name, "--simulate", 2, "--frames", "0:60")
         call(folder, "labels", "import", name, f"{name}.jsonl")
         yield f"{name}: check", json.loads(call(folder, "labels", "check", name, "--json"))
         call(folder, "labels", "export", name, f"{name} again.jsonl")

@@ -26,8 +26,8 @@ def mono_rig() -> Rig:
     return Rig(Camera(1241, 376, K))
 
 
-def driven(count: int, rng: Rng) -> tuple[Frame, ...]:
-    """Return frames of a winding, hilly drive, 1 m apart."""
+def driven(count: int, rng: Rng, driven_m: FloatArray | None = None) -> tuple[Frame, ...]:
+    """Return frames of a winding, hilly drive, every 0.1 s; 1 m apart, or at ``driven_m`` (n,)."""
     ahead = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     phase = rng.uniform(0.0, 2.0 * np.pi, 3)
     s = np.arange(count, dtype=np.float64)
@@ -35,6 +35,9 @@ def driven(count: int, rng: Rng) -> tuple[Frame, ...]:
     pitch = 0.02 * np.sin(0.3 * s + phase[1])
     steps = np.column_stack([np.cos(yaw), np.sin(yaw), 0.05 * np.sin(0.15 * s + phase[2])])
     centers = np.cumsum(steps, axis=0) + np.array([10.0, -5.0, 2.0])
+    if driven_m is not None:
+        yaw, pitch = (np.interp(driven_m, s, angle) for angle in (yaw, pitch))
+        centers = np.column_stack([np.interp(driven_m, s, axis) for axis in centers.T])
     poses = [
         Pose(so3_exp(np.array([0.0, 0.0, a])) @ ahead @ so3_exp(np.array([b, 0.0, 0.0])), c)
         for a, b, c in zip(yaw, pitch, centers, strict=True)

@@ -70,7 +70,10 @@ def read_csv(path: Path, context: conversion.MapImportContext) -> conversion.Par
         header = rows.fieldnames or []
         missing = [name for name in _NEEDED if name not in header]
         if missing:
-            raise SemvizError(f"no column {missing[0]!r}; the header is {quoted(','.join(header))}")
+            other = next((sign for sign in ";\t" if sign in ",".join(header)), None)
+            why = f"; columns are separated by {other!r}, write ','" if other else ""
+            names = quoted(",".join(header))
+            raise SemvizError(f"no column {missing[0]!r}; the header is {names}{why}")
         parsed = conversion.ParsedMap(georeference=context.anchor)
         centers = set()
         for row in rows:

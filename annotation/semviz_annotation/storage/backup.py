@@ -9,7 +9,7 @@ import json
 import os
 import shutil
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from itertools import count
@@ -19,6 +19,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from semviz_annotation.labels.edits import first_fault
+from semviz_annotation.labels.rows import Observation
 from semviz_annotation.storage import database, tables
 from semviz_annotation.storage.integrity import (
     Integrity,
@@ -238,13 +239,16 @@ def export_operations(store: LabelStore, path: Path) -> None:
             file.write(_OPERATION.dump_json(operation).decode() + "\n")
 
 
-def import_operations(path: Path, store: LabelStore) -> int:
+def import_operations(path: Path, store: LabelStore, frames: Collection[int] | None = None) -> int:
     """Append the operations of ``path`` that ``store`` lacks; return their count.
 
     The store's log must be the beginning of the file's log, as in a new store. Raise SemvizError,
-    naming the line, if it is not, or a line is invalid or missing. Nothing is imported then.
+    naming the line, if it is not, or a line is invalid or missing, or labels are in others than
+    ``frames``. Nothing is imported then.
     """
     imported, center = _read(path)
+    if frames is not None:
+        _check_frames(path, imported, frames)
     present = store.operations()
     for number, operation in enumerate(present, 1):
         if number > len(imported) or imported[number - 1] != operation:
@@ -263,6 +267,21 @@ def import_operations(path: Path, store: LabelStore) -> int:
     except SemvizError as error:
         raise SemvizError(f"{path}: {error}; nothing imported") from None
     return len(newer)
+
+
+def _check_frames(path: Path, operations: list[Operation], frames: Collection[int]) -> None:
+    labelled: dict[str, int] = {}
+    for change in (change for operation in operations for change in operation.changes):
+        if isinstance(change.before, Observation):
+            labelled.pop(change.before.id, None)
+        if isinstance(change.after, Observation):
+            labelled[change.after.id] = change.after.frame_index
+    others = sorted(set(labelled.values()) - set(frames))
+    if others:
+        raise SemvizError(
+            f"{path}: labels of another sequence: {len(others)} of its labelled frames are not in "
+            f"this one, the first is {others[0]}; nothing imported"
+        )
 
 
 def tells_its_length(path: Path) -> bool:

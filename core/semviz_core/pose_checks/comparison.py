@@ -6,7 +6,7 @@ estimate within limits, so that a drive with many faults does not excuse them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from semviz_core.common.arrays import BoolArray, FloatArray, IntArray
 from semviz_core.common.errors import SemvizError
 from semviz_core.pose_checks.image_motions import ImageMotions
 from semviz_core.pose_checks.motion import MOTION, RIG
+from semviz_core.pose_checks.one_camera import with_lengths
 
 SIGMA_LEAST = np.repeat([0.002, np.deg2rad(0.005)], 3)
 SIGMA_MOST = np.repeat([0.03, np.deg2rad(0.05)], 3)
@@ -119,6 +120,20 @@ class PoseComparison:
     rig: RigErrors
     information: FloatArray
     """(n, 6, 6) of the images' motion alone, given the rig."""
+    length_information: FloatArray
+    """(n, 3, 3) of a translation by the speed around it, where one camera measures and the length
+    is that of the given poses; else 0."""
+
+    def information_given(self, held: BoolArray, motion_share: float) -> FloatArray:
+        """Return (n, 6, 6) the information of motions if only frames ``held`` keep given poses.
+
+        Between others, one camera's steps are as long as the speed around them tells.
+        ``motion_share`` is the variance of the images' motions over the stated one.
+        """
+        information = self.information / motion_share
+        others = ~(held[:-1] & held[1:])
+        information[others, :3, :3] += self.length_information[others]
+        return information
 
     @property
     def cost(self) -> float:
@@ -139,7 +154,10 @@ def compare(poses: DrivePoses, motions: ImageMotions) -> PoseComparison:
     """
     if len(poses) != len(motions) + 1:
         raise SemvizError(f"{len(poses)} poses for {len(motions)} motions; give one more")
-    scaled = motions if motions.has_stereo else _with_lengths(motions, poses.step_m())
+    scaled, length_information = motions, np.zeros((len(motions), 3, 3))
+    if not motions.has_stereo:
+        step_m = poses.motions()[1]
+        scaled, length_information = with_lengths(motions, step_m, poses.pair_known, poses.time_s)
     error = _errors(poses, scaled)
     used = poses.pair_known & scaled.is_measured
     sigma = np.sqrt(SIGMA_LEAST * SIGMA_MOST)
@@ -160,19 +178,7 @@ def compare(poses: DrivePoses, motions: ImageMotions) -> PoseComparison:
         sigma,
         rig,
         scaled.information[:, MOTION, MOTION],
-    )
-
-
-def _with_lengths(motions: ImageMotions, length_m: FloatArray) -> ImageMotions:
-    """Return motions of one camera with the lengths (n,) of the poses; those at rest keep 1."""
-    ratio = np.where(length_m > 1e-6, length_m, 1.0)
-    scale = np.ones((len(motions), 9))
-    scale[:, :3] = 1.0 / ratio[:, None]
-    return replace(
-        motions,
-        translation_m=motions.translation_m * ratio[:, None],
-        information=motions.information * scale[:, :, None] * scale[:, None, :],
-        linear=motions.linear * scale,
+        length_information,
     )
 
 

@@ -60,12 +60,13 @@ class PoseCovariance:
         replaced = is_refined & ~refinement.held
         shown = comparison.compared & ~(replaced[:-1] | replaced[1:])
         known = variance_components(comparison, shown)
+        information = comparison.information_given(refinement.held, known.motion_share)
         weight = refinement.held[:, None] / refinement.good_sigma**2
         diagonal = (weight + 1e-6)[:, :, None] * np.eye(6)
         upper = np.zeros((max(len(frame_index) - 1, 0), 6, 6))
         R, t = refinement.poses.motions()
         for row in np.flatnonzero(comparison.compared).tolist():
-            A, J = comparison.information[row] / known.motion_share, adjoint(Pose(R[row], t[row]))
+            A, J = information[row], adjoint(Pose(R[row], t[row]))
             diagonal[row] += J.T @ A @ J
             diagonal[row + 1] += A
             upper[row] -= J.T @ A

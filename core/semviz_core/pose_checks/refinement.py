@@ -77,7 +77,7 @@ def refine(poses: DrivePoses, motions: ImageMotions, comparison: PoseComparison)
         counts = weight > 0.25
         good = comparison.compared & counts[:-1] & counts[1:]
         share = variance_components(comparison, good).motion_share
-        told = replace(comparison, information=comparison.information / share)
+        told = replace(comparison, information=comparison.information_given(held, share))
         adjusted = _adjusted(adjusted, start, measured, told, prior, weight)
         off = _deviations(start, adjusted)
         prior = _prior_sigma(off[held & start.known])
