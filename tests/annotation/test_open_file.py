@@ -207,3 +207,16 @@ def test_a_file_damaged_before_catching_up_keeps_the_edit(path, backup):
             store.apply(pole(), "ann")
         with pytest.raises(LabelFileError, match="the label file is damaged"):
             _ = store.labels
+
+
+def test_an_overwritten_file_that_reads_as_damaged_is_called_overwritten(path, backup, monkeypatch):
+    def malformed() -> None:
+        raise sqlite3.DatabaseError("database disk image is malformed")
+
+    with LabelStore.open(path) as store:
+        store.apply(pole(20), "ann")
+        copy_over(path, backup)
+        monkeypatch.setattr(store._file, "_follow_or_load", malformed)
+        store._file._data_version = None
+        with pytest.raises(NotSavedError, match="was overwritten while it was open"):
+            store.apply(pole(30), "ann")

@@ -172,11 +172,15 @@ class LabelFile:
         with self._lock:
             self._check_at_path()
             if self.damage or self._open_file.has_new_content():
-                with self.reading():  # a backup may have been restored
-                    pass
+                try:
+                    with self.reading():  # a backup may have been restored
+                        pass
+                except LabelFileError:
+                    self._check_content()  # another file seems damaged under this one's journal
+                    raise
+            self._check_content()
             if self.damage:
                 raise NotSavedError(self.damage)
-            self._check_content()
 
     def _check_content(self) -> None:
         if self._is_overwritten():
