@@ -21,6 +21,8 @@ const TITLES = {
 
 const MARK = 20; // from the left of a mark to its text
 const GAP = 12;
+const KEY = 132; // from the left of the legend to the names of lines
+const LINE = 12; // from the left of a line to its name
 const TEXT = 11; // CSS pixels
 const fontOf = (/** @type {number} */ size) => `${size}px Inter, "Liberation Sans", Arial, sans-serif`;
 
@@ -65,11 +67,14 @@ export function drawLegend(context, height, model, scale) {
   const marks = marksIn(model);
   const total = 44 + (marks.length ? ROW : 0);
   const [x, y] = [8, height - total - 8];
-  drawGround(context, x, y, Math.max(WIDTH, rowWidth(context, marks)), total);
+  const names = linesIn(model).map(([, text]) => text);
+  const keyWidth = KEY + rowWidth(context, names, LINE, 8);
+  const marksWidth = 8 + rowWidth(context, marks.map(({ text }) => text), MARK, GAP);
+  drawGround(context, x, y, Math.max(WIDTH, keyWidth, marksWidth), total);
   write(context, TITLES[model.mode], x + 8, y + 12);
   drawBar(context, x + 124, y + 12, model.magnification * scale);
   drawScale(context, x + 8, y + 22);
-  drawKey(context, x + 132, y + 30, model);
+  drawKey(context, x + KEY, y + 30, model);
   drawMarks(context, x + 8, y + 52, marks);
 }
 
@@ -146,6 +151,20 @@ function drawScale(context, x, y) {
   write(context, "px", x + 5 * step, y + 14, 9.5, "right");
 }
 
+/** The lines that the image shows: colour, name, and where dashes begin.
+ *
+ * @param {ImageModel} model
+ * @returns {[string, string, number[]?][]}
+ */
+function linesIn(model) {
+  /** @type {[string, string, number[]?][]} */
+  const lines = model.observed.length ? [[DETECTION_COLOR, "detected"]] : [];
+  lines.push([ON_IMAGE[model.pose], model.mode === "error" ? "estimate" : "map"]);
+  if (model.mode === "error") lines.push([ON_IMAGE.truth, "truth"]);
+  if (model.mode === "pairs" && model.hasVectors) lines.push([ON_IMAGE.cannot, "outlier", [0, 6]]);
+  return lines;
+}
+
 /**
  * @param {Context} context
  * @param {number} x
@@ -153,17 +172,12 @@ function drawScale(context, x, y) {
  * @param {ImageModel} model
  */
 function drawKey(context, x, y, model) {
-  /** @type {[string, string, number[]?][]} */
-  const entries = model.observed.length ? [[DETECTION_COLOR, "detected"]] : [];
-  entries.push([ON_IMAGE[model.pose], model.mode === "error" ? "estimate" : "map"]);
-  if (model.mode === "error") entries.push([ON_IMAGE.truth, "truth"]);
-  if (model.mode === "pairs" && model.hasVectors) entries.push([ON_IMAGE.cannot, "outlier", [0, 6]]);
   let left = x;
-  for (const [color, text, dashes = [0, 3, 6]] of entries) {
+  for (const [color, text, dashes = [0, 3, 6]] of linesIn(model)) {
     context.fillStyle = color;
     for (const dash of dashes) context.fillRect(left + dash, y - 1, 3, 2);
-    write(context, text, left + 12, y);
-    left += 20 + context.measureText(text).width;
+    write(context, text, left + LINE, y);
+    left += LINE + 8 + context.measureText(text).width;
   }
 }
 
@@ -176,13 +190,16 @@ function marksIn(model) {
   return MARKS.filter(({ isShown }) => isShown(model, ends));
 }
 
-/**
+/** The width of texts in a row, each with a mark before it and a gap after it.
+ *
  * @param {Context} context
- * @param {Mark[]} marks
+ * @param {string[]} texts
+ * @param {number} mark
+ * @param {number} gap
  */
-function rowWidth(context, marks) {
+function rowWidth(context, texts, mark, gap) {
   context.font = fontOf(TEXT);
-  return marks.reduce((width, { text }) => width + MARK + context.measureText(text).width + GAP, 8);
+  return texts.reduce((width, text) => width + mark + context.measureText(text).width + gap, 0);
 }
 
 /**
