@@ -171,8 +171,7 @@ def _image_residuals(
     observed = result.observed
     is_line = observed.is_line[rows, None]
     anchor, end = _project(result, T_camera_map, map_rows)
-    along = end - anchor
-    along = unit_vectors(along)
+    along = unit_vectors(end - anchor)
 
     def residual_of(points_px: FloatArray) -> FloatArray:
         gap = points_px - anchor

@@ -28,6 +28,7 @@ from semviz_core.simulation.objects import SectionKind
 
 if TYPE_CHECKING:
     from semviz.workspace.workspace import Workspace
+    from semviz_core.base.frame import FileDataset
 
 
 VERSION: Final = 1
@@ -343,8 +344,7 @@ def _moved(source: Source, relative: Mapping[str, str]) -> Source:
 
 
 def _check_images(workspace: "Workspace") -> None:
-    """Raise SemvizError if the source does not open, the image of a frame is missing, or the first
-    frame's have another size than the calibration's.
+    """Raise SemvizError if the source does not open, or images are missing or of another size.
 
     Whether images of the right names and size are the same ones is not checked."""
     from semviz_core.base.frame import FileDataset
@@ -365,8 +365,16 @@ def _check_images(workspace: "Workspace") -> None:
             f"the images there are others: of {len(needed)} frames {len(missing)} are missing, the "
             f"first is {missing[0]}; nothing was changed"
         )
-    for side in sides if source.frames else ():
-        camera = source.rig.left if side == "left" else source.rig.right or source.rig.left
+    if source.frames:
+        _check_size(source)
+
+
+def _check_size(source: "FileDataset") -> None:
+    """Raise SemvizError if the first frame's images have another size than the calibration's."""
+    from semviz_annotation.labels.views import camera_of
+
+    for side in source.rig.sides:
+        camera, _ = camera_of(source.rig, side)
         height, width, _ = source.image(source.frames[0].index, side).shape
         if (width, height) != (camera.width, camera.height):
             raise SemvizError(

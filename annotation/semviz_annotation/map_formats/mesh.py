@@ -187,8 +187,7 @@ def _along(anchor_m: FloatArray, end_m: FloatArray) -> FloatArray:
     length = np.linalg.norm(axis, axis=1, keepdims=True)
     z = np.where(length > 0.0, axis / np.maximum(length, 1e-12), [0.0, 0.0, 1.0])
     side = np.where(np.abs(z[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    x = np.cross(side, z)
-    x = unit_vectors(x)
+    x = unit_vectors(np.cross(side, z))
     y = np.cross(z, x)
     return np.stack([x * POLE_RADIUS_M, y * POLE_RADIUS_M, z * length], axis=2)
 

@@ -16,10 +16,8 @@ from semviz_core.base.frame import adjoint
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, IntArray
 from semviz_core.diagnosis.fault import FaultKind
-from semviz_core.diagnosis.reference import FrameReference, pair_errors
-from semviz_core.localization.association import associate
+from semviz_core.diagnosis.reference import FrameReference, pair_errors, pairs_to_fit
 from semviz_core.localization.problem import PoseProblem
-from semviz_core.localization.search import REFINED_COVARIANCE
 
 MOST_FRAMES = 60
 """Frames that are fitted, evenly spread over a longer run."""
@@ -173,7 +171,7 @@ def cause_rows(frames: FittedFrames, row: int, cause: CommonCause, value: FloatA
     offset = None if cause.offset is None else cause.offset(frames, row, value)
     pose = reference if offset is None else offset.T_true_reference @ reference
     problem = _problem(case, cause, value)
-    pairs = _pairs(case, problem, pose)
+    pairs = pairs_to_fit(case, problem, pose)
     residual, by_pose, detection = _whitened(problem, pose, pairs)
     if offset is not None:
         by_value = by_pose @ offset.by_value
@@ -192,15 +190,6 @@ def _problem(case: FrameReference, cause: CommonCause, value: FloatArray) -> Pos
         return case.problem
     camera = cause.camera(case.localization.camera, value)
     return PoseProblem.of(camera, case.localization.observed, case.nearby, case.detector)
-
-
-def _pairs(case: FrameReference, problem: PoseProblem, pose: Pose) -> IntArray:
-    """Return (k, 2) rows of observed and nearby elements, within a wide gate."""
-    if case.ids is not None:
-        return case.same_class
-    match, _ = associate(problem, *pose.writable(), REFINED_COVARIANCE)
-    rows = np.flatnonzero(match >= 0)
-    return np.column_stack([rows, match[rows]])
 
 
 def _whitened(

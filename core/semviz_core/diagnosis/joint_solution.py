@@ -14,11 +14,9 @@ from scipy.spatial.transform import Rotation
 from semviz_core.base.frame import Odometry, Prior
 from semviz_core.base.pose import Pose
 from semviz_core.common.arrays import FloatArray, IntArray
-from semviz_core.diagnosis.reference import FrameReference
-from semviz_core.localization.association import associate
+from semviz_core.diagnosis.reference import FrameReference, pairs_to_fit
 from semviz_core.localization.prior_residuals import MOST_ROWS, prior_rows
 from semviz_core.localization.problem import PoseProblem, PriorRecord
-from semviz_core.localization.search import REFINED_COVARIANCE
 from semviz_core.tracking.association import pair_rows
 
 MOST_CHI2 = 25.0
@@ -52,7 +50,11 @@ class Measured:
     @classmethod
     def of(cls, cases: Sequence[FrameReference], steps: Sequence[Odometry | None]) -> "Measured":
         """Return the measurements of frames with poses; ``steps`` leads from each to the next."""
-        pairs = tuple(_pairs(case) for case in cases)
+        pairs = tuple(
+            pairs_to_fit(case, case.problem, case.reference)
+            for case in cases
+            if case.reference is not None
+        )
         of_frames = [case.nearby.id[own[:, 1]] for case, own in zip(cases, pairs, strict=True)]
         ids, element = np.unique(
             np.concatenate([np.zeros(0, np.int64), *of_frames]), return_inverse=True
@@ -66,15 +68,6 @@ class Measured:
             element,
             len(ids),
         )
-
-
-def _pairs(case: FrameReference) -> IntArray:
-    if case.ids is not None:
-        return case.same_class
-    assert case.reference is not None
-    match, _ = associate(case.problem, *case.reference.writable(), REFINED_COVARIANCE.copy())
-    rows = np.flatnonzero(match >= 0)
-    return np.column_stack([rows, match[rows]])
 
 
 @dataclass(frozen=True, eq=False)

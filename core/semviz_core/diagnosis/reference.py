@@ -18,7 +18,7 @@ from semviz_core.diagnosis.fault import GroundTruth
 from semviz_core.localization.association import NEAREST_M, associate
 from semviz_core.localization.problem import PoseProblem
 from semviz_core.localization.residuals import EXACT_POSE, PairResiduals, problem_residuals
-from semviz_core.localization.search import APART_M, APART_RAD
+from semviz_core.localization.search import APART_M, APART_RAD, REFINED_COVARIANCE
 from semviz_core.tracking.association import pair_rows
 
 NEARBY_M = 60.0
@@ -143,6 +143,16 @@ class FrameReference:
     def is_true(self, T_camera_map: Pose) -> bool:
         """Whether a pose is the true one, up to the distance of separate modes."""
         return self.truth is not None and is_near(T_camera_map, self.truth)
+
+
+def pairs_to_fit(case: FrameReference, problem: PoseProblem, T_camera_map: Pose) -> IntArray:
+    """Return (k, 2) rows of observed and nearby elements: the true pairs if known, else those that
+    fit a pose within a wide gate."""
+    if case.ids is not None:
+        return case.same_class
+    match, _ = associate(problem, *T_camera_map.writable(), REFINED_COVARIANCE)
+    rows = np.flatnonzero(match >= 0)
+    return np.column_stack([rows, match[rows]])
 
 
 class PairErrors(NamedTuple):

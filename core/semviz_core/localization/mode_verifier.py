@@ -193,8 +193,7 @@ def _mapped(
     """Return (b, n, MAPPED_FEATURES + classes): how far ahead, left and above the camera each
     element is in the level frame, and whether it has a pair and is in view."""
     offset = submap.anchor_m - center[:, None]
-    ahead = rotation[:, 2, :2]
-    ahead = unit_vectors(ahead)
+    ahead = unit_vectors(rotation[:, 2, :2])
     forward = (offset[..., :2] * ahead[:, None]).sum(axis=2)
     left = offset[..., 1] * ahead[:, None, 0] - offset[..., 0] * ahead[:, None, 1]
     numbers = np.stack(

@@ -66,8 +66,7 @@ class GroundRays:
             share = np.where(is_line, slope[:, 0] / (slope[:, 0] - slope[:, 1]), 0.0)
         share = np.clip(np.nan_to_num(share), -_BEYOND, 1.0 + _BEYOND)
         direction, sound = _towards(ends, is_line)
-        forward = views.R[observations.view, 2, :2]
-        forward = unit_vectors(forward)
+        forward = unit_vectors(views.R[observations.view, 2, :2])
         cosine = np.clip((forward * direction).sum(axis=1), 0.1, 1.0)
         px_rad = sigma_px * observations.sigma_ratio / views.K[observations.view, 0, 0][:, None]
         return cls(

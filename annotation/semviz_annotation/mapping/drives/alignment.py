@@ -82,8 +82,7 @@ def information_of(
     ``scatter_m`` (n,) is the sigma, in each direction, of what moves an element as a whole and is
     neither in its covariance nor a correction of its drive.
     """
-    axis = np.nan_to_num(ends_m[:, :3] - ends_m[:, 3:])
-    axis = unit_vectors(axis)
+    axis = unit_vectors(np.nan_to_num(ends_m[:, :3] - ends_m[:, 3:]))
     along_m2 = np.einsum("ni,nj->nij", axis, axis) * _ALONG_M**2
     whole_m2 = scatter_m[:, None, None] ** 2 * np.kron(np.ones((2, 2)), np.eye(3))
     spread_m2 = covariance_m2 + whole_m2 + LEAST_M**2 * np.eye(6)

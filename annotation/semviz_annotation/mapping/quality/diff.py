@@ -286,8 +286,7 @@ def _displacement(base: Elements3D, other: Elements3D) -> tuple[FloatArray, Floa
     """Return displacements (p,) m of pairs, and in standard deviations of the base; infinite if it
     states none."""
     lines = base.is_line & other.is_line
-    axis = np.where(lines[:, None], base.end_m - base.anchor_m, 0.0)
-    axis = unit_vectors(axis)
+    axis = unit_vectors(np.where(lines[:, None], base.end_m - base.anchor_m, 0.0))
     by_end = [
         _end_displacement(
             other.anchor_m - base.anchor_m,

@@ -30,8 +30,6 @@ from semviz_core.localization.problem import perpendicular
 
 FARTHEST_M = 1e4
 """Sampled points further away give no pose."""
-_Y_DOWN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""(3, 3) from z up to y down, the axes of PoseLib's upright solvers."""
 
 
 @dataclass(frozen=True, eq=False)

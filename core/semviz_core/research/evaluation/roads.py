@@ -367,8 +367,7 @@ def simulated_road(seed: int) -> BenchmarkRoad:
     turn = rng.uniform(-np.pi, np.pi)
     c, s = np.cos(turn), np.sin(turn)
     middle = middle @ np.array([[c, s], [-s, c]])
-    ahead = np.gradient(middle, axis=0)
-    ahead = unit_vectors(ahead)
+    ahead = unit_vectors(np.gradient(middle, axis=0))
     path = middle + _LANE_M * np.column_stack([ahead[:, 1], -ahead[:, 0]])
     hills = rng.uniform(0.0, 2.0 * np.pi, 2)
     height = 50.0 * _HILL_SLOPE * np.sin(middle / 50.0 + hills).sum(axis=1) / np.sqrt(2.0)
@@ -404,8 +403,7 @@ def _poles(track: FloatArray, rng: np.random.Generator) -> FloatArray:
     rows = fresh[np.repeat(cell, count[side, cell])]
     sides = np.repeat(2.0 * side - 1.0, count[side, cell])
     offset = LEAST_OFFSET_M + rng.gamma(1.8, 3.5, len(rows))
-    ahead = np.gradient(track[:, :2], axis=0)[rows]
-    ahead = unit_vectors(ahead)
+    ahead = unit_vectors(np.gradient(track[:, :2], axis=0)[rows])
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
     along = rng.uniform(-0.5, 0.5, len(rows))
     return np.asarray(track[rows, :2] + along[:, None] * ahead + (sides * offset)[:, None] * left)
